@@ -1,0 +1,1 @@
+"""Servo bus and cameras, real and emulated, behind the same small protocols."""

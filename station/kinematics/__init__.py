@@ -1,0 +1,1 @@
+"""Pure kinematics: rigid motions, metric, joint types, trees."""
