@@ -1,0 +1,178 @@
+"""What a joint type is: its kinematics in its own axis frame, its honest count of parameters, and a start for a fit.
+
+Every type here is a one-parameter subgroup of SE(3) between two fixed poses,
+
+    T_parent_child(q) = T_parent_axis @ exp(q * screw) @ T_axis_child,
+
+with a unit `screw` in the axis frame: Trans_z for prismatic, R_z for revolute, none for rigid. The paper's parametrisations
+(18, 20, 22) are special cases: `o = T_parent_axis @ T_axis_child`, `r = T_parent_axis`, `c = T_axis_child`. They carry
+directions that change nothing (turning r about z and c back); the free directions listed by each type leave those out, so
+that they are as many as the type's parameters: 6 rigid, 7 prismatic, 9 revolute.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from station.errors import InvalidData
+from station.kinematics import se3
+from station.logs import FloatArray, frozen_floats
+
+# Dimensionless: an axis whose length differs from 1 by more than this is not a direction but a mistake.
+AXIS_LENGTH_TOLERANCE = 1e-6
+Z = np.array([0.0, 0.0, 1.0])
+
+
+@dataclass(frozen=True, eq=False)
+class JointGeometry:
+    """Where a joint is, in the parent's frame.
+
+    Attributes:
+        axis_parent: (3,) unit vector along or about which the joint moves; None for a rigid joint.
+        point_parent_m: (3,) a point of the axis; None where any would do (rigid, prismatic).
+        T_parent_child_zero: (4, 4) pose of the child in the parent at q = 0.
+
+    Raises:
+        InvalidData: for an axis that has not unit length, or a zero pose that is no (4, 4) matrix.
+    """
+
+    axis_parent: FloatArray | None
+    point_parent_m: FloatArray | None
+    T_parent_child_zero: FloatArray
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "T_parent_child_zero", frozen_floats(self.T_parent_child_zero))
+        if self.T_parent_child_zero.shape != (4, 4):
+            raise InvalidData(f"a zero pose has shape {self.T_parent_child_zero.shape}; want (4, 4)")
+        for name in ("axis_parent", "point_parent_m"):
+            value = getattr(self, name)
+            if value is not None:
+                object.__setattr__(self, name, frozen_floats(value))
+        if self.axis_parent is not None and abs(np.linalg.norm(self.axis_parent) - 1) > AXIS_LENGTH_TOLERANCE:
+            raise InvalidData(f"a joint axis has length {np.linalg.norm(self.axis_parent):g}; want a unit vector")
+
+    @property
+    def T_parent_axis(self) -> FloatArray:
+        """(4, 4) frame with z along the axis; its origin is the point, or the child's at q = 0 where there is none."""
+        axis = Z if self.axis_parent is None else self.axis_parent
+        point = self.T_parent_child_zero[:3, 3] if self.point_parent_m is None else self.point_parent_m
+        return se3.pose(se3.rotation_between(Z, axis), point)
+
+
+@dataclass(frozen=True, eq=False)
+class JointFrames:
+    """The two fixed poses of a batch of joints, T_parent_axis and T_axis_child (..., 4, 4)."""
+
+    T_parent_axis: FloatArray
+    T_axis_child: FloatArray
+
+
+class JointType(ABC):
+    """A kind of joint. A new one is a subclass in its own file and a line in the registry; the tests then cover it.
+
+    Attributes:
+        name: as in files and options.
+        parameters: honest degrees of freedom of the geometry when poses are seen.
+        position_parameters: the same when only the child's positions are seen.
+        states: degrees of freedom that change from frame to frame.
+        unit: of the state, "m" or "rad"; None without one.
+        screw: unit twist [v, w] of the motion in the axis frame.
+        axis_freedoms: entries of a right perturbation of T_parent_axis that a fit moves.
+        child_freedoms: entries of a left perturbation of T_axis_child that a fit moves.
+        limit: name of the type that this one turns into when its motion degenerates; None if there is none.
+    """
+
+    name: ClassVar[str]
+    parameters: ClassVar[int]
+    position_parameters: ClassVar[int]
+    states: ClassVar[int]
+    unit: ClassVar[str | None]
+    screw: ClassVar[tuple[float, ...]]
+    axis_freedoms: ClassVar[tuple[int, ...]]
+    child_freedoms: ClassVar[tuple[int, ...]]
+    limit: ClassVar[str | None] = None
+
+    def is_degenerate(self, frames: JointFrames, travel: FloatArray) -> NDArray[np.bool_]:
+        """(...,) whether joints with this travel [unit] can't be told from the type's `limit` by real measurements."""
+        return np.zeros(np.shape(travel), dtype=bool)
+
+    @abstractmethod
+    def axis_motion(self, q: FloatArray) -> FloatArray:
+        """(..., 4, 4) exp(q * screw) for states q (...,)."""
+
+    @abstractmethod
+    def axis_state(self, T_axis_child: FloatArray, zero: FloatArray) -> FloatArray:
+        """(...,) state that brings `zero` (..., 4, 4) nearest `T_axis_child` (..., 4, 4), both in the axis frame."""
+
+    @abstractmethod
+    def axis_state_of_position(self, p_axis: FloatArray, zero_axis: FloatArray) -> FloatArray:
+        """(...,) state that brings the position `zero_axis` (..., 3) nearest `p_axis` (..., 3), both in the axis frame."""
+
+    @abstractmethod
+    def starts(self, T_parent_child: FloatArray, weights: FloatArray) -> tuple[JointFrames, ...]:
+        """Closed-form fits to begin from, one or several where the data can be read in several ways.
+
+        Args:
+            T_parent_child: (..., T, 4, 4) finite poses.
+            weights: (..., T) not negative; frames of weight 0 are ignored.
+        """
+
+    @abstractmethod
+    def position_starts(self, p_parent: FloatArray, weights: FloatArray) -> tuple[JointFrames, ...]:
+        """The same from positions (..., T, 3) alone; the child's orientation is then the parent's."""
+
+    def geometry(self, frames: JointFrames) -> JointGeometry:
+        """The geometry of one joint, (4, 4) frames, of this type."""
+        T_parent_axis = frames.T_parent_axis
+        axis = T_parent_axis[:3, 2] if self.states else None
+        point = T_parent_axis[:3, 3] if any(self.screw[3:]) else None
+        return JointGeometry(axis, point, T_parent_axis @ frames.T_axis_child)
+
+    def frames(self, geometry: JointGeometry) -> JointFrames:
+        """The two fixed poses (4, 4) of a geometry of this type."""
+        if self.states and geometry.axis_parent is None:
+            raise InvalidData(f"a {self.name} joint needs an axis")
+        T_parent_axis = geometry.T_parent_axis
+        return JointFrames(T_parent_axis, se3.inverse(T_parent_axis) @ geometry.T_parent_child_zero)
+
+    def motion(self, geometry: JointGeometry, q: FloatArray) -> FloatArray:
+        """(..., 4, 4) motion of the child from its zero pose, in the parent's frame: T(q) @ T(0)^-1."""
+        T_parent_axis = self.frames(geometry).T_parent_axis
+        return T_parent_axis @ self.axis_motion(np.asarray(q, dtype=np.float64)) @ se3.inverse(T_parent_axis)
+
+    def forward(self, geometry: JointGeometry, q: FloatArray) -> FloatArray:
+        """(..., 4, 4) T_parent_child at states q (...,) [m or rad]."""
+        return self.motion(geometry, q) @ geometry.T_parent_child_zero
+
+    def inverse(self, geometry: JointGeometry, T_parent_child: FloatArray) -> FloatArray:
+        """(...,) state nearest to T_parent_child (..., 4, 4); angles in (-pi, pi]."""
+        frames = self.frames(geometry)
+        return self.axis_state(se3.inverse(frames.T_parent_axis) @ T_parent_child, frames.T_axis_child)
+
+
+def weighted_mean(values: FloatArray, weights: FloatArray) -> FloatArray:
+    """(..., n) mean of values (..., T, n) with weights (..., T)."""
+    return np.einsum("...t,...tn->...n", weights, values) / weights.sum(axis=-1)[..., None]
+
+
+def weighted_scatter(values: FloatArray, weights: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Mean (..., 3) and principal directions (..., 3, 3), columns by falling spread, of points (..., T, 3)."""
+    centre = weighted_mean(values, weights)
+    d = values - centre[..., None, :]
+    _, vectors = np.linalg.eigh(np.einsum("...t,...ti,...tj->...ij", weights, d, d))
+    return centre, vectors[..., ::-1]
+
+
+def mean_rotation(R: FloatArray, weights: FloatArray) -> FloatArray:
+    """(..., 3, 3) chordal mean of rotations (..., T, 3, 3) with weights (..., T)."""
+    return se3.project_to_so3(np.einsum("...t,...tij->...ij", weights, R))
+
+
+def turned(T_parent_axis: FloatArray) -> FloatArray:
+    """(..., 3, 3) rotations R_axis_parent of poses (..., 4, 4)."""
+    return np.swapaxes(T_parent_axis[..., :3, :3], -1, -2)

@@ -1,0 +1,53 @@
+"""Prismatic: the child slides along a direction of the parent (paper, 20 and 21)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from station.kinematics import se3
+from station.kinematics.joints.base import JointFrames, JointType, Z, mean_rotation, turned, weighted_scatter
+from station.logs import FloatArray
+
+
+class Prismatic(JointType):
+    """fk(o, u; q) = T(q u) o: six parameters of o, two of u, less one for where zero is.
+
+    The state is u . (t_x - t_o). The paper's (21) takes the translation of x o^-1, which is the same for a pose on the joint's
+    manifold but lets an error of orientation, times the distance to the parent's origin, into the state of a noisy one.
+    """
+
+    name = "prismatic"
+    parameters = 7
+    position_parameters = 4
+    states = 1
+    unit = "m"
+    screw = (0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
+    axis_freedoms = (3, 4)
+    child_freedoms = (0, 1, 3, 4, 5)
+
+    def axis_motion(self, q: FloatArray) -> FloatArray:
+        """(..., 4, 4) translation along z by q (...,) metres."""
+        T = se3.identity(*np.shape(q))
+        T[..., 2, 3] = q
+        T[np.isnan(q)] = np.nan
+        return T
+
+    def axis_state(self, T_axis_child: FloatArray, zero: FloatArray) -> FloatArray:
+        """(...,) metres along z from `zero`."""
+        return T_axis_child[..., 2, 3] - zero[..., 2, 3]
+
+    def axis_state_of_position(self, p_axis: FloatArray, zero_axis: FloatArray) -> FloatArray:
+        """(...,) metres along z from `zero_axis`."""
+        return p_axis[..., 2] - zero_axis[..., 2]
+
+    def starts(self, T_parent_child: FloatArray, weights: FloatArray) -> tuple[JointFrames, ...]:
+        """The mean rotation, and the line through the translations along their leading singular vector."""
+        (line,) = self.position_starts(T_parent_child[..., :3, 3], weights)
+        R = mean_rotation(T_parent_child[..., :3, :3], weights)
+        return (JointFrames(line.T_parent_axis, se3.pose(turned(line.T_parent_axis) @ R, np.zeros(3))),)
+
+    def position_starts(self, p_parent: FloatArray, weights: FloatArray) -> tuple[JointFrames, ...]:
+        """The line through the mean position along the leading singular vector of the positions."""
+        centre, directions = weighted_scatter(p_parent, weights)
+        T_parent_axis = se3.pose(se3.rotation_between(Z, directions[..., 0]), centre)
+        return (JointFrames(T_parent_axis, se3.pose(turned(T_parent_axis), np.zeros(3))),)

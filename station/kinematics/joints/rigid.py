@@ -1,0 +1,45 @@
+"""Rigid: the child is fixed to the parent (paper, 18 and 19)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from station.kinematics import se3
+from station.kinematics.joints.base import JointFrames, JointType, mean_rotation, weighted_mean
+from station.logs import FloatArray
+
+
+class Rigid(JointType):
+    """fk(o) = o, six parameters, no state."""
+
+    name = "rigid"
+    parameters = 6
+    position_parameters = 3
+    states = 0
+    unit = None
+    screw = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    axis_freedoms = ()
+    child_freedoms = (0, 1, 2, 3, 4, 5)
+
+    def axis_motion(self, q: FloatArray) -> FloatArray:
+        """(..., 4, 4) identities."""
+        return se3.identity(*np.shape(q))
+
+    def axis_state(self, T_axis_child: FloatArray, zero: FloatArray) -> FloatArray:
+        """Zero (paper, 19)."""
+        return np.zeros(np.broadcast_shapes(T_axis_child.shape, zero.shape)[:-2])
+
+    def axis_state_of_position(self, p_axis: FloatArray, zero_axis: FloatArray) -> FloatArray:
+        """Zero."""
+        return np.zeros(np.broadcast_shapes(p_axis.shape, zero_axis.shape)[:-1])
+
+    def starts(self, T_parent_child: FloatArray, weights: FloatArray) -> tuple[JointFrames, ...]:
+        """The mean pose: chordal mean of the rotations, mean of the translations."""
+        R = mean_rotation(T_parent_child[..., :3, :3], weights)
+        t = weighted_mean(T_parent_child[..., :3, 3], weights)
+        return (JointFrames(se3.identity(*t.shape[:-1]), se3.pose(R, t)),)
+
+    def position_starts(self, p_parent: FloatArray, weights: FloatArray) -> tuple[JointFrames, ...]:
+        """The mean position."""
+        t = weighted_mean(p_parent, weights)
+        return (JointFrames(se3.identity(*t.shape[:-1]), se3.translation(t)),)
