@@ -1,0 +1,88 @@
+"""Reads a pose log from a path: the file's ending and its first line choose the importer."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from station.errors import InvalidFile
+from station.formats.legacy_aruco import COLUMNS as LEGACY_COLUMNS
+from station.formats.legacy_aruco import parse_legacy_aruco
+from station.formats.poses_csv import COLUMNS as POSES_COLUMNS
+from station.formats.poses_csv import parse_poses_csv
+from station.formats.table import count_words, read_header
+from station.formats.text import read_text
+from station.formats.tracks import parse_track
+from station.formats.tum import COLUMNS as TUM_COLUMNS
+from station.formats.tum import parse_tum, parse_tum_files
+from station.logs import PoseLog
+
+WORDS_ENDINGS = (".log", ".txt", ".tum")
+READABLE = (
+    f"can read .csv with {','.join(POSES_COLUMNS)}",
+    f"or with {','.join(LEGACY_COLUMNS)} (legacy ArUco);",
+    f".log or .txt with x y z [qx qy qz qw] (track) or {' '.join(TUM_COLUMNS)} (TUM);",
+    "several TUM files, or a folder of them (a part a file)",
+)
+
+
+def read_pose_log(path: Path, *others: Path) -> PoseLog:
+    """Read the poses in a file, in a folder of TUM files, or in several TUM files.
+
+    Args:
+        path: a .csv of poses or of legacy ArUco rows, told apart by the header; a .log, .txt or .tum with a track
+            (three or seven numbers a row) or a TUM trajectory (eight); a folder of TUM trajectories.
+        others: more TUM trajectories of the same recording.
+
+    Raises:
+        InvalidFile: with the file's name, for what is missing, no text, of another form, or wrong in some row.
+    """
+    path = Path(path)
+    if others:
+        return _read_tum_files([path, *map(Path, others)], f"{1 + len(others)} files")
+    if path.is_dir():
+        files = sorted(file for file in path.iterdir() if file.suffix.lower() in WORDS_ENDINGS)
+        if not files:
+            raise _unreadable(path.name, f"is a folder without {', '.join(WORDS_ENDINGS)} files")
+        return _read_tum_files(files, path.name)
+    text, ending = read_text(path, "pose log"), path.suffix.lower()
+    if ending == ".csv":
+        return _parse_csv(text, path.name)
+    if ending in WORDS_ENDINGS:
+        return _parse_words(text, path.name)
+    raise _unreadable(path.name, f"ends in '{ending}'" if ending else "has no ending")
+
+
+def _parse_csv(text: str, name: str) -> PoseLog:
+    header = read_header(text)
+    if "part" in header:
+        return parse_poses_csv(text, name)
+    if "id" in header:
+        return parse_legacy_aruco(text, name)
+    raise _unreadable(name, f"has the columns {','.join(header)[:80]}" if header else "is empty")
+
+
+def _parse_words(text: str, name: str) -> PoseLog:
+    words = count_words(text)
+    if words == len(TUM_COLUMNS):
+        return parse_tum(text, name)
+    if words in (3, 7):
+        return parse_track(text, name)
+    raise _unreadable(name, f"has {words} numbers in its first row" if words else "is empty")
+
+
+def _read_tum_files(paths: list[Path], name: str) -> PoseLog:
+    texts: dict[str, str] = {}
+    for path in paths:
+        text = read_text(path, "pose log")
+        if path.name in texts:
+            raise InvalidFile(f"two files are named {path.name}; a file's name is its part's, rename one")
+        if count_words(text) != len(TUM_COLUMNS):
+            raise _unreadable(
+                path.name, f"is no TUM trajectory ({' '.join(TUM_COLUMNS)}), as every file of several must be"
+            )
+        texts[path.name] = text
+    return parse_tum_files(texts, name)
+
+
+def _unreadable(name: str, why: str) -> InvalidFile:
+    return InvalidFile("\n".join([f"{name} {why}", *READABLE]))
