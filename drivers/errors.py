@@ -1,0 +1,89 @@
+"""The drivers' error tree: what went wrong with a servo bus or a camera, and what to do about it."""
+
+from __future__ import annotations
+
+
+class DriverError(Exception):
+    """Root of all errors of the drivers; the message says what, where and what to do next."""
+
+
+class BusLost(DriverError):
+    """The serial port isn't there, can't be opened, is held by another program, or vanished while in use."""
+
+
+class NoReply(DriverError):
+    """A servo didn't answer within the deadline, retries included.
+
+    Attributes:
+        servo_id: the servo that was asked.
+    """
+
+    def __init__(self, message: str, *, servo_id: int | None = None) -> None:
+        super().__init__(message)
+        self.servo_id = servo_id
+
+
+class CorruptReply(DriverError):
+    """A servo answered with bytes that are no valid status packet, or not the answer to the question.
+
+    Attributes:
+        servo_id: the servo that was asked.
+    """
+
+    def __init__(self, message: str, *, servo_id: int | None = None) -> None:
+        super().__init__(message)
+        self.servo_id = servo_id
+
+
+class ServoFault(DriverError):
+    """A servo refused an instruction, or reports a hardware error.
+
+    Attributes:
+        servo_id: the servo that reported it.
+        flags: the names of the reported error bits, for instance `("overload",)`.
+    """
+
+    def __init__(self, message: str, *, servo_id: int | None = None, flags: tuple[str, ...] = ()) -> None:
+        super().__init__(message)
+        self.servo_id = servo_id
+        self.flags = flags
+
+
+class WrongModel(DriverError):
+    """The servo with this id is of another model than the configuration says.
+
+    Attributes:
+        servo_id: the servo that was asked.
+        have: the model number it answered with.
+        want: the model number of the configured model.
+    """
+
+    def __init__(self, message: str, *, servo_id: int, have: int, want: int) -> None:
+        super().__init__(message)
+        self.servo_id = servo_id
+        self.have = have
+        self.want = want
+
+
+class ArmFault(DriverError):
+    """The arm can't do what was asked: a command outside the limits, ganged servos that disagree.
+
+    Attributes:
+        joint: the joint at fault, if it is one joint's.
+    """
+
+    def __init__(self, message: str, *, joint: str | None = None) -> None:
+        super().__init__(message)
+        self.joint = joint
+
+
+class CameraError(DriverError):
+    """Root of the cameras' errors."""
+
+
+class NoCamera(CameraError):
+    """The camera or video file isn't there, can't be opened, or refuses the settings."""
+
+
+class CameraStalled(CameraError):
+    """The camera stopped delivering frames."""
