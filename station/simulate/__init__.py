@@ -1,0 +1,1 @@
+"""Motion of articulated objects and rendered scenes."""
