@@ -1,0 +1,68 @@
+"""Markers in an image: found and named by OpenCV, corners refined on their edges; what isn't a marker is dropped."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from station.errors import InvalidData
+from station.logs import FloatArray
+from station.perception.edges import linear_light, refine_corners
+from station.perception.markers import load_dictionary
+
+# One window of the adaptive threshold instead of OpenCV's three (3, 13, 23 px): half the time at the same rate.
+THRESHOLD_WINDOW_PX = 13
+BORDER_CELLS = 1
+
+
+@dataclass(frozen=True, eq=False)
+class Detections:
+    """The markers of one image: ids (M,) and corners (M, 4, 2) px, clockwise from the marker's top left."""
+
+    ids: NDArray[np.int64]
+    corners_px: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.ids)
+
+
+class MarkerDetector:
+    """Finds the markers of one dictionary, corners to about 0.04 px.
+
+    A candidate whose four edges are not straight edges from black to white (low contrast, bent, partly hidden, or
+    further than a few px from where OpenCV saw them) is dropped, and so is an id that appears more than once, as
+    nobody can tell which is meant.
+    """
+
+    def __init__(self, dictionary: str) -> None:
+        """Raises InvalidData if OpenCV has no dictionary of that name."""
+        loaded = load_dictionary(dictionary)
+        parameters = cv2.aruco.DetectorParameters()
+        parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_NONE
+        parameters.adaptiveThreshWinSizeMin = THRESHOLD_WINDOW_PX
+        parameters.adaptiveThreshWinSizeMax = THRESHOLD_WINDOW_PX
+        parameters.markerBorderBits = BORDER_CELLS
+        self._detector = cv2.aruco.ArucoDetector(loaded, parameters)
+        self._cells = int(loaded.markerSize) + 2 * BORDER_CELLS
+
+    def detect(self, image: NDArray[np.uint8]) -> Detections:
+        """The markers in an 8-bit image, grey (H, W) or BGR (H, W, 3)."""
+        grey = _grey(image)
+        found, ids, _ = self._detector.detectMarkers(grey)
+        if ids is None or len(ids) == 0:
+            return Detections(np.zeros(0, dtype=np.int64), np.zeros((0, 4, 2)))
+        ids = np.asarray(ids, dtype=np.int64).reshape(-1)
+        rough = np.asarray(found, dtype=np.float64).reshape(-1, 4, 2)
+        refined = refine_corners(linear_light(grey), rough, self._cells)
+        values, counts = np.unique(ids, return_counts=True)
+        keep = refined.good & np.isin(ids, values[counts == 1])
+        return Detections(ids[keep], refined.corners_px[keep])
+
+
+def _grey(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    if image.dtype != np.uint8 or image.ndim not in (2, 3) or (image.ndim == 3 and image.shape[2] != 3):
+        raise InvalidData(f"image is {image.dtype} of shape {image.shape}; want uint8, (H, W) or (H, W, 3) BGR")
+    return image if image.ndim == 2 else np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), dtype=np.uint8)
