@@ -1,0 +1,273 @@
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calibration.intrinsics import CameraModel, FloatArray, project
+from station.kinematics import se3
+from station.logs import PoseLog
+from station.perception.corners import Detections
+from station.perception.edges import shift_edges
+from station.perception.markers import Marker, MarkerTable
+from station.perception.observations import ObservationBuilder, ObservationLog
+from station.perception.pose import UNIT_CORNERS, estimate_poses
+from station.simulate.render import SceneRenderer
+from station.simulate.scene import CameraOptics, Plate
+from station.tracking import (
+    SMALLEST_SIGMA_PX,
+    choose_solutions,
+    estimate_pose_log,
+    estimate_sigma_px,
+    fuse_poses,
+    observe,
+    observe_frames,
+    reestimate,
+    viewing_angles,
+    viewing_angles_of_parts,
+)
+
+SIZE_M = 0.05
+FPS = 30.0
+DICTIONARY = "DICT_4X4_50"
+CAMERA = CameraModel(
+    size_px=(640, 480),
+    matrix=np.array([[600.0, 0, 320], [0, 600, 240], [0, 0, 1]]),
+    distortion=np.array([0.05, -0.1, 0.001, 0.0, 0.0]),
+)
+ONE = MarkerTable(DICTIONARY, (Marker(4, "lid", SIZE_M),))
+FACING = np.diag([1.0, -1.0, -1.0])
+AHEAD = np.array([0.0, 0.0, 0.6])
+
+
+def tilted(tilt_deg: FloatArray, azimuth_rad: FloatArray | float = 0.4) -> FloatArray:
+    """(F, 4, 4) a marker 0.6 m straight ahead, its normal off the line of sight by the tilts (F,)."""
+    axis = np.stack([np.cos(azimuth_rad), np.sin(azimuth_rad), 0.0 * np.asarray(azimuth_rad)], axis=-1)
+    return se3.pose(se3.exp_so3(np.deg2rad(np.asarray(tilt_deg))[..., None] * axis) @ FACING, AHEAD)
+
+
+def corners_px(T_cam_marker: FloatArray, size_m: float = SIZE_M) -> FloatArray:
+    """(..., 4, 2) exact corners."""
+    p_cam = (T_cam_marker[..., None, :3, :3] @ (size_m * UNIT_CORNERS)[..., None])[..., 0]
+    return project(CAMERA, p_cam + T_cam_marker[..., None, :3, 3])
+
+
+def watch(T_cam_part: FloatArray, table: MarkerTable, sigma_px: float, *, seed: int = 0) -> ObservationLog:
+    """Observations of all markers of the table, its parts moving as T_cam_part (F, K, 4, 4) say, with noisy corners."""
+    part = [table.parts.index(m.part) for m in table.markers]
+    T = T_cam_part[:, part] @ np.stack([m.mount for m in table.markers])
+    px = np.stack([corners_px(T[:, k], m.size_m) for k, m in enumerate(table.markers)], axis=1)
+    px = px + sigma_px * np.random.default_rng(seed).standard_normal(px.shape)
+    frames, count = px.shape[:2]
+    poses = estimate_poses(px.reshape(-1, 4, 2), np.tile([m.size_m for m in table.markers], frames), CAMERA)
+    return ObservationLog(
+        t_s=np.arange(frames) / FPS,
+        frame=np.repeat(np.arange(frames), count),
+        marker_id=np.tile([m.id for m in table.markers], frames),
+        corners_px=px.reshape(-1, 4, 2),
+        T_cam_marker=poses.T_cam_marker,
+        rms_px=poses.rms_px,
+    )
+
+
+def rotation_errors_deg(T: FloatArray, truth: FloatArray) -> FloatArray:
+    return np.rad2deg(se3.angle(np.swapaxes(truth[..., :3, :3], -1, -2) @ T[..., :3, :3]))
+
+
+def normalised_errors(log: PoseLog, T_cam_part: FloatArray) -> FloatArray:
+    """(T, K) squared errors in units of the stated covariance, over 6."""
+    assert log.covariance is not None
+    error = se3.log(se3.inverse(T_cam_part) @ log.T_ref_part)
+    return np.einsum("tki,tkij,tkj->tk", error, np.linalg.inv(log.covariance), error) / 6
+
+
+def flips(T: FloatArray, observations: ObservationLog, truth: FloatArray) -> int:
+    """In how many frames the other solution is nearer to the truth than T (F, 4, 4) is."""
+    nearest = np.nan_to_num(rotation_errors_deg(observations.T_cam_marker, truth[:, None]), nan=180.0).min(axis=1)
+    return int(np.sum(rotation_errors_deg(T, truth) > nearest + 1e-6))
+
+
+@pytest.mark.parametrize("motion", ["static", "turning", "swinging"])
+def test_flips_are_repaired_over_time(motion: str) -> None:
+    t_s = np.arange(240) / FPS
+    azimuth_rad = {"static": 0 * t_s, "turning": 1.5 * t_s, "swinging": 0.5 * np.sin(2 * t_s)}[motion]
+    truth = tilted(np.full(len(t_s), 12.0), azimuth_rad)
+    observations = watch(truth[:, None], ONE, sigma_px=0.3)
+    log = estimate_pose_log(observations, ONE, CAMERA)
+    assert flips(observations.T_cam_marker[:, 0], observations, truth) >= 15
+    assert flips(log.T_ref_part[:, 0], observations, truth) <= 2
+
+
+def test_a_swing_through_the_front_keeps_its_side() -> None:
+    tilt_deg = 30 * np.cos(np.arange(180) / FPS)
+    truth = tilted(tilt_deg)
+    observations = watch(truth[:, None], ONE, sigma_px=0.1)
+    log = estimate_pose_log(observations, ONE, CAMERA)
+    oblique = np.abs(tilt_deg) > 10
+    assert rotation_errors_deg(log.T_ref_part[oblique, 0], truth[oblique]).max() < 5.0
+
+
+def test_a_choice_that_nothing_decides_is_called_uncertain() -> None:
+    T = np.stack([tilted(np.array(10.0)), tilted(np.array(-10.0))])[None]
+    px = corners_px(T[:, 0])
+    log = ObservationLog(np.zeros(1), np.zeros(1), np.array([4]), px, T, np.array([[0.05, 0.05]]))
+    _, probability = choose_solutions(log, 0.1)
+    assert probability[0] == pytest.approx(0.5)
+    covariance = estimate_pose_log(log, ONE, CAMERA, sigma_px=0.1).covariance
+    assert covariance is not None
+    widest_deg = np.rad2deg(np.sqrt(np.linalg.eigvalsh(covariance[0, 0, 3:, 3:])[-1]))
+    assert widest_deg > 0.5**0.5 * 20  # half the weight is on a pose 20 deg away
+
+
+@pytest.mark.parametrize("tilt_deg", [0.0, 5.0, 20.0, 50.0, 70.0])
+def test_stated_covariances_are_honest(tilt_deg: float) -> None:
+    truth = tilted(np.full(300, tilt_deg))[:, None]
+    log = estimate_pose_log(watch(truth, ONE, sigma_px=0.1, seed=int(tilt_deg)), ONE, CAMERA)
+    # The mean of 300 chi-squared of 6 over 6 is 1 +- 0.03, sigma's own estimate is good to 5 %; more at the front.
+    low, high = (0.8, 1.8) if tilt_deg < 10 else (0.8, 1.25)
+    assert low < normalised_errors(log, truth).mean() < high
+
+
+def test_sigma_is_found_from_the_residuals_despite_bad_rows() -> None:
+    observations = watch(tilted(np.full(400, 40.0))[:, None], ONE, sigma_px=0.15)
+    rms_px = observations.rms_px[:, 0].copy()
+    rms_px[::10] = 3.0
+    assert estimate_sigma_px(rms_px) == pytest.approx(0.15, rel=0.2)
+
+
+@pytest.mark.parametrize("rms_px", [np.zeros(0), np.full(5, np.nan), np.full(5, 1e-4)])
+def test_sigma_is_never_taken_as_less_than_model_error(rms_px: FloatArray) -> None:
+    assert estimate_sigma_px(rms_px) == SMALLEST_SIGMA_PX
+
+
+def test_oblique_views_are_dropped() -> None:
+    tilt_deg = np.array([60.0, 70.0, 74.0, 76.0, 80.0])
+    log = estimate_pose_log(watch(tilted(tilt_deg)[:, None], ONE, sigma_px=0.02), ONE, CAMERA)
+    assert log.seen[:, 0].tolist() == [True, True, True, False, False]
+    assert log.covariance is not None
+    assert np.all(np.isnan(log.covariance[3:]))
+
+
+def test_a_shape_that_is_no_square_is_dropped_and_a_poor_one_trusted_less() -> None:
+    clean = watch(tilted(np.full(60, 30.0))[:, None], ONE, sigma_px=0.05)
+    px = clean.corners_px.copy()
+    px[10, 0] += 4.0
+    px[20, 0] += 0.3
+    spoilt = reestimate(replace(clean, corners_px=px), ONE, CAMERA)
+    log, undisturbed = estimate_pose_log(spoilt, ONE, CAMERA), estimate_pose_log(clean, ONE, CAMERA)
+    assert not log.seen[10, 0]
+    assert log.seen[20, 0]
+    assert log.covariance is not None and undisturbed.covariance is not None
+    assert np.trace(log.covariance[20, 0]) > 1.5 * np.trace(undisturbed.covariance[20, 0])
+
+
+def test_parts_times_and_gaps_are_the_tables_and_the_observations() -> None:
+    table = MarkerTable(DICTIONARY, (Marker(9, "late", SIZE_M), Marker(4, "lid", SIZE_M)))
+    builder = ObservationBuilder()
+    px = corners_px(tilted(np.array([20.0])))
+    t_s = [0.0, 0.033, 0.071]
+    for stamp, ids in zip(t_s, ([4], [], [17]), strict=True):  # 17 is in nobody's table
+        builder.add(stamp, np.array(ids, dtype=int), px[: len(ids)], estimate_poses(px[: len(ids)], SIZE_M, CAMERA))
+    log = estimate_pose_log(builder.build(), table, CAMERA)
+    assert (log.reference, log.parts, log.t_s.tolist()) == ("camera", ("late", "lid"), t_s)
+    assert log.seen.tolist() == [[False, True], [False, False], [False, False]]
+
+
+def test_a_log_without_observations_has_unseen_parts() -> None:
+    builder = ObservationBuilder()
+    for t_s in (0.0, 0.1):
+        builder.add(t_s, np.zeros(0, int), np.zeros((0, 4, 2)), estimate_poses(np.zeros((0, 4, 2)), [], CAMERA))
+    log = estimate_pose_log(builder.build(), ONE, CAMERA)
+    assert not np.any(log.seen)
+
+
+MOUNTS = (
+    se3.pose(se3.exp_so3(np.array([0.0, 0.5, 0.0])), np.array([0.05, 0.0, -0.01])),
+    se3.pose(se3.exp_so3(np.array([0.0, -0.5, 0.1])), np.array([-0.05, 0.01, -0.02])),
+)
+BRACKET = MarkerTable(DICTIONARY, tuple(Marker(k, "bracket", SIZE_M, mount) for k, mount in enumerate(MOUNTS)))
+
+
+def test_a_mount_takes_the_marker_to_its_part() -> None:
+    table = MarkerTable(DICTIONARY, BRACKET.markers[:1])
+    truth = tilted(np.linspace(0, 20, 300))[:, None]
+    exact = estimate_pose_log(watch(truth, table, sigma_px=0.0), table, CAMERA)
+    np.testing.assert_allclose(exact.T_ref_part, truth, atol=1e-6)  # m; 1e-5 rad is where the refinement ends
+    noisy = estimate_pose_log(watch(truth, table, sigma_px=0.1), table, CAMERA)
+    assert 0.8 < normalised_errors(noisy, truth).mean() < 1.25  # the lever arm is in the covariance
+
+
+def test_two_markers_of_a_part_tell_more_than_each() -> None:
+    truth = tilted(np.linspace(0, 20, 300))[:, None]
+    observations = watch(truth, BRACKET, sigma_px=0.1)
+    both = estimate_pose_log(observations, BRACKET, CAMERA)
+    alone = [
+        estimate_pose_log(observations, MarkerTable(DICTIONARY, (marker,)), CAMERA).T_ref_part
+        for marker in BRACKET.markers
+    ]
+    fused_deg = np.sqrt(np.mean(rotation_errors_deg(both.T_ref_part, truth) ** 2))
+    assert all(fused_deg < 0.85 * np.sqrt(np.mean(rotation_errors_deg(T, truth) ** 2)) for T in alone)
+    assert 0.8 < normalised_errors(both, truth).mean() < 1.3
+
+
+def test_fusion_of_equals_is_their_mean_with_half_the_variance() -> None:
+    centre, covariance = tilted(np.array(20.0)), np.diag([1e-6] * 3 + [1e-4] * 3)
+    xi = np.array([0.001, -0.002, 0.003, 0.01, 0.02, -0.01])
+    T = np.stack([centre @ se3.exp(xi), centre @ se3.exp(-xi)])
+    large = 100 * covariance  # so that their disagreement is chance
+    fused, fused_covariance = fuse_poses(T, np.stack([large, large]), np.array([2, 2]), 3)
+    np.testing.assert_allclose(fused[2], centre, atol=1e-4)  # m, rad: second order in 0.02 rad
+    np.testing.assert_allclose(fused_covariance[2], large / 2, rtol=1e-3, atol=1e-6)  # m^2, rad^2: second order
+    assert np.all(np.isnan(fused[:2])) and np.all(np.isnan(fused_covariance[:2]))
+
+
+def test_markers_that_disagree_make_the_part_less_certain() -> None:
+    T = np.stack([tilted(np.array(20.0)), tilted(np.array(25.0))])
+    covariance = np.stack([np.diag([1e-6] * 6)] * 2)
+    _, fused_covariance = fuse_poses(T, covariance, np.array([0, 0]), 1)
+    assert np.trace(fused_covariance[0]) > 100 * np.trace(covariance[0] / 2)
+
+
+def test_poses_follow_the_camera_that_is_given() -> None:
+    truth, shift_px = tilted(np.full(10, 30.0)), -0.3
+    clean = watch(truth[:, None], ONE, sigma_px=0.0)
+    smaller = replace(clean, corners_px=shift_edges(clean.corners_px, shift_px))
+    shifted = replace(CAMERA, edge_shift_px=shift_px)
+    log = estimate_pose_log(reestimate(smaller, ONE, shifted), ONE, shifted)
+    np.testing.assert_allclose(log.T_ref_part[:, 0], truth, atol=1e-6)  # m, rad: where the refinement ends
+
+
+def test_viewing_angles_by_marker_and_by_part() -> None:
+    observations = watch(tilted(np.array([0.0, 10.0]))[:, None], BRACKET, sigma_px=0.0)
+    by_marker = viewing_angles(observations).reshape(2, 2)
+    by_part = viewing_angles_of_parts(observations, BRACKET)
+    np.testing.assert_allclose(by_part[:, 0], by_marker.min(axis=1))
+    assert np.all((np.rad2deg(by_marker) > 20) & (np.rad2deg(by_marker) < 40))  # mounted at 0.5 rad
+    unseen = MarkerTable(DICTIONARY, (Marker(30, "other", SIZE_M),))
+    assert np.all(np.isnan(viewing_angles_of_parts(observations, unseen)))
+
+
+def test_a_detection_that_is_not_in_the_table_is_left_out() -> None:
+    px = corners_px(tilted(np.array([20.0, 30.0])))
+    ids, corners, poses = observe(Detections(np.array([17, 4]), px), ONE, CAMERA)
+    assert ids.tolist() == [4]
+    np.testing.assert_array_equal(corners, px[1:])
+    assert poses.T_cam_marker.shape == (1, 2, 4, 4)
+
+
+@pytest.fixture(scope="module")
+def rendered() -> Callable[[FloatArray], np.ndarray]:
+    """rendered(T_cam_part (4, 4)) -> the image of the bracket there."""
+    plates = [Plate(0, m.mount, m.size_m, 0.01, m.id) for m in BRACKET.markers]
+    optics = CameraOptics(CAMERA.size_px, CAMERA.matrix, CAMERA.distortion, blur_px=0.7, noise_grey=2.0, gamma=2.2)
+    renderer = SceneRenderer(plates, [], DICTIONARY, optics, seed=0)
+    return lambda T: renderer.render(T[None], 0)
+
+
+def test_images_become_poses(rendered: Callable[[FloatArray], np.ndarray]) -> None:
+    truth = tilted(np.linspace(-10, 15, 6))
+    observations = observe_frames(((f / FPS, rendered(T)) for f, T in enumerate(truth)), BRACKET, CAMERA)
+    assert len(observations) == 12
+    log = estimate_pose_log(observations, BRACKET, CAMERA)
+    assert rotation_errors_deg(log.T_ref_part[:, 0], truth).max() < 0.3
+    assert np.abs(log.T_ref_part[:, 0, :3, 3] - truth[:, :3, 3]).max() < 0.001  # m; mostly depth
