@@ -92,7 +92,7 @@ class DynamixelBus:
         self.alarms: dict[int, tuple[str, ...]] = {}
 
     def open(self) -> None:
-        """Open the port for this process alone; raises BusLost that says why it can't be."""
+        """Open the port for this process alone; raises NoPort that says why it can't be."""
         with self._lock:
             if not self._port.is_open:
                 self._port.openPort()

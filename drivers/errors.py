@@ -8,7 +8,11 @@ class DriverError(Exception):
 
 
 class BusLost(DriverError):
-    """The serial port isn't there, can't be opened, is held by another program, or vanished while in use."""
+    """The serial port can't be opened, or vanished while in use."""
+
+
+class NoPort(BusLost):
+    """The serial port isn't there, can't be opened, or is held by another program: nothing was sent."""
 
 
 class NoReply(DriverError):

@@ -17,7 +17,7 @@ from typing import Any, Literal, cast
 import serial
 from dynamixel_sdk import COMM_RX_CORRUPT, COMM_SUCCESS, PortHandler, Protocol1PacketHandler, Protocol2PacketHandler
 
-from drivers.errors import BusLost
+from drivers.errors import BusLost, NoPort
 
 # s. What the SDK allows beside the wire time: two periods of a USB adapter's latency timer (16 ms) and 2 ms.
 REPLY_MARGIN_S = 0.034
@@ -54,13 +54,13 @@ class FencedPort(PortHandler):
         return baudrate
 
     def setupPort(self, cflag_baud: int) -> Literal[True]:
-        """Open the device for this process alone; raises BusLost."""
+        """Open the device for this process alone; raises NoPort."""
         if self.is_open:
             self.closePort()
         try:
             self.ser = serial.Serial(port=self.port_name, baudrate=cflag_baud, timeout=0, exclusive=True)
         except (OSError, ValueError, termios.error) as error:
-            raise BusLost(_why_not_open(self.port_name, cflag_baud, error)) from error
+            raise NoPort(_why_not_open(self.port_name, cflag_baud, error)) from error
         self.is_open = True
         self.is_using = False
         self.tx_time_per_byte = 1000.0 / cflag_baud * BITS_PER_BYTE

@@ -70,7 +70,8 @@ class PoseLog:
             infinite variance where a direction was not observed.
 
     Raises:
-        InvalidData: for shapes that don't agree, falling times, names that are no slugs, poses that are no rigid motions.
+        InvalidData: for shapes that don't agree, falling times, names that are no slugs, poses that are no rigid
+            motions.
     """
 
     t_s: FloatArray

@@ -13,6 +13,7 @@ from station.errors import InvalidData, LimitExceeded
 from station.logs import FloatArray, check_slugs, frozen_floats
 
 Mode = Literal["step", "stream"]
+Unit = Literal["rad", "m"]
 DEFAULT_RATE_HZ = 50.0
 # Rounding of degrees to radians and back must not refuse a target that equals its limit.
 LIMIT_SLACK = 1e-9
@@ -27,7 +28,7 @@ class JointLimits:
     upper: float
     max_speed: float
     park: float = 0.0
-    unit: Literal["rad", "m"] = "rad"
+    unit: Unit = "rad"
 
     def text(self, value: float) -> str:
         """The value in the units that people write: deg or mm."""
@@ -116,9 +117,12 @@ class Plan:
         """(N,) times at which a command is sent: at each segment, and at rate_hz while a streamed one moves."""
         if self.motion.mode == "step":
             return frozen_floats([segment.t_start_s for segment in self.segments])
-        ticks = [s.t_start_s + np.arange(np.ceil(s.move_s * self.motion.rate_hz) + 1) / self.motion.rate_hz for s in self.segments]
-        within = [t[t <= s.t_end_s] for t, s in zip(ticks, self.segments, strict=True)]
-        return frozen_floats(np.unique(np.concatenate(within)))
+        return frozen_floats(np.unique(np.concatenate([self._ticks(segment) for segment in self.segments])))
+
+    def _ticks(self, segment: Segment) -> FloatArray:
+        count = int(np.ceil(segment.move_s * self.motion.rate_hz)) + 1
+        ticks = segment.t_start_s + np.arange(count) / self.motion.rate_hz
+        return ticks[ticks <= segment.t_end_s]
 
     def commanded(self, t_s: ArrayLike) -> FloatArray:
         """Commanded states (..., J), rad or m, at times (...,) from the start; the park pose before it."""
@@ -176,7 +180,9 @@ def _check_step(motion: Motion, step: MotionStep, number: int, joints: Sequence[
     known = {joint.name: joint for joint in joints}
     for name, target in step.move.items():
         if name not in known:
-            raise InvalidData(f"motion '{motion.name}', step {number}: no joint '{name}'; the rig has {', '.join(known)}")
+            raise InvalidData(
+                f"motion '{motion.name}', step {number}: no joint '{name}'; the rig has {', '.join(known)}"
+            )
         joint = known[name]
         slack = LIMIT_SLACK * max(abs(joint.lower), abs(joint.upper))
         if not joint.lower - slack <= target <= joint.upper + slack:

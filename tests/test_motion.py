@@ -24,7 +24,9 @@ def test_step_mode_commands_the_target_at_once_and_stream_mode_interpolates():
     np.testing.assert_allclose(step.commanded([-1.0, 0.0, 1.9, 2.0, 99.0])[:, 0], [0.5, -0.5, -0.5, 0.5, 0.5])
     np.testing.assert_allclose(step.command_times_s(), [0.0, 2.0])
     stream = plan_motion(Motion("m", steps, "stream", rate_hz=10.0), (PAN,))
-    np.testing.assert_allclose(stream.commanded([0.0, 0.5, 1.5, 3.0, 9.0])[:, 0], [0.5, 0.0, -0.5, 0.0, 0.5], atol=1e-12)
+    np.testing.assert_allclose(
+        stream.commanded([0.0, 0.5, 1.5, 3.0, 9.0])[:, 0], [0.5, 0.0, -0.5, 0.0, 0.5], atol=1e-12
+    )
     times = stream.command_times_s()
     assert np.all(np.diff(times) > 0) and times[-1] <= stream.duration_s
     np.testing.assert_allclose(stream.commanded(times[-1])[0], 0.5)

@@ -10,7 +10,7 @@ from pydantic import Field
 
 from station.errors import InvalidFile
 from station.formats.toml_models import StrictModel, parse
-from station.motion import DEFAULT_RATE_HZ, JointLimits, Motion, MotionStep
+from station.motion import DEFAULT_RATE_HZ, JointLimits, Motion, MotionStep, Unit
 
 MOTION_SCHEMA = "motion/1"
 MM_PER_M = 1e3
@@ -45,12 +45,12 @@ def parse_motion(text: str, name: str, joints: Sequence[JointLimits]) -> Motion:
             speed in the other unit than the joint's.
     """
     model = parse(MotionModel, text, name, MOTION_SCHEMA)
-    units = {joint.name: joint.unit for joint in joints}
+    units: dict[str, Unit] = {joint.name: joint.unit for joint in joints}
     steps = tuple(_step(step, number, name, units) for number, step in enumerate(model.step, start=1))
     return Motion(model.name, steps, model.mode, model.rate_hz)
 
 
-def _step(step: StepModel, number: int, name: str, units: dict[str, Literal["rad", "m"]]) -> MotionStep:
+def _step(step: StepModel, number: int, name: str, units: dict[str, Unit]) -> MotionStep:
     for joint in step.move:
         if joint not in units:
             raise InvalidFile(f"{name}, step {number}: no joint '{joint}'; the rig has {', '.join(units)}")

@@ -1,4 +1,4 @@
-"""Strict TOML: text to a checked pydantic model, with errors that name the file, the key, what it has and what it wants."""
+"""Strict TOML: text to a checked pydantic model, with errors that name the file, the key, what it has and wants."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ SHOWN_ERRORS = 3
 class StrictModel(BaseModel):
     """A table that refuses unknown keys and does not turn one type into another."""
 
-    model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False, arbitrary_types_allowed=True)
+    model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
 
 
 Model = TypeVar("Model", bound=StrictModel)
@@ -53,7 +53,8 @@ def check_schema(have: Any, name: str, want: str) -> None:
 def _explain(error: ValidationError, name: str, model: type[BaseModel]) -> str:
     lines = [_line(item, model) for item in error.errors()]
     more = f" (and {len(lines) - SHOWN_ERRORS} more)" if len(lines) > SHOWN_ERRORS else ""
-    return "\n".join([f"{name}: {len(lines)} wrong {'entry' if len(lines) == 1 else 'entries'}{more}", *lines[:SHOWN_ERRORS]])
+    entries = "entry" if len(lines) == 1 else "entries"
+    return "\n".join([f"{name}: {len(lines)} wrong {entries}{more}", *lines[:SHOWN_ERRORS]])
 
 
 def _line(item: Any, model: type[BaseModel]) -> str:

@@ -1,12 +1,12 @@
 """Rigid motions SE(3) as (..., 4, 4) matrices: exponential, logarithm, Jacobians, adjoint, mean.
 
-Conventions of the whole station: `T_a_b` is the pose of b in a and takes b-coordinates to a, so inner letters cancel in
-`T_a_c = T_a_b @ T_b_c`. Twists are `[v (m), w (rad)]` and perturb on the right, `T @ exp(xi)`; covariances are in that order.
-Every function takes leading batch axes; NaN in gives NaN out. Formulas: paper, 10-14 (its twists are (w, v)); T. Barfoot,
-State Estimation for Robotics, chapter 8, for the Jacobians.
+Conventions of the whole station: `T_a_b` is the pose of b in a and takes b-coordinates to a, so inner letters cancel
+in `T_a_c = T_a_b @ T_b_c`. Twists are `[v (m), w (rad)]` and perturb on the right, `T @ exp(xi)`; covariances are in
+that order. Every function takes leading batch axes; NaN in gives NaN out. Formulas: paper, 10-14 (its twists are
+(w, v)); T. Barfoot, State Estimation for Robotics, chapter 8, for the Jacobians.
 
-The scalar coefficients, such as (t - sin t) / t^3, lose all digits for small angles t. Each has a power series in t^2 that is
-exact to rounding below SERIES_BELOW_RAD and a closed form above, where cancellation costs at most two digits.
+The scalar coefficients, such as (t - sin t) / t^3, lose all digits for small angles t. Each has a power series in t^2
+that is exact to rounding below SERIES_BELOW_RAD and a closed form above, where cancellation costs at most two digits.
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ _SIN3_SERIES = tuple((-1) ** k / factorial(2 * k + 3) for k in range(_TERMS))
 _COS4_SERIES = tuple((-1) ** k / factorial(2 * k + 4) for k in range(_TERMS))
 _SIN5_SERIES = tuple((-1) ** k * (k + 1) / factorial(2 * k + 5) for k in range(_TERMS))
 # |B_2k| / (2k)! for k = 1...: the series of (1 - (t/2) cot(t/2)) / t^2, with Bernoulli numbers B.
-_BERNOULLI = (1 / 6, 1 / 30, 1 / 42, 1 / 30, 5 / 66, 691 / 2730, 7 / 6, 3617 / 510, 43867 / 798, 174611 / 330, 854513 / 138)
-_COT_SERIES = tuple(b / factorial(2 * k + 2) for k, b in enumerate(_BERNOULLI))
+_BERNOULLI = ((1, 6), (1, 30), (1, 42), (1, 30), (5, 66), (691, 2730), (7, 6), (3617, 510), (43867, 798), (174611, 330))
+_COT_SERIES = tuple(a / b / factorial(2 * k + 2) for k, (a, b) in enumerate(_BERNOULLI))
 
 
 def _series(coefficients: tuple[float, ...], square: FloatArray) -> FloatArray:
-    return np.polyval(coefficients[::-1], np.minimum(square, SERIES_BELOW_RAD**2))
+    return np.asarray(np.polyval(coefficients[::-1], np.minimum(square, SERIES_BELOW_RAD**2)), dtype=np.float64)
 
 
 def _coefficient(t: FloatArray, series: tuple[float, ...], closed: FloatArray) -> FloatArray:
@@ -161,7 +161,7 @@ def log_so3(R: ArrayLike) -> FloatArray:
 
 def angle(R: ArrayLike) -> FloatArray:
     """Angle (...,) in [0, pi] of rotations (..., 3, 3)."""
-    return np.linalg.norm(log_so3(R), axis=-1)
+    return np.asarray(np.linalg.norm(log_so3(R), axis=-1), dtype=np.float64)
 
 
 def left_jacobian_so3(w: ArrayLike) -> FloatArray:
@@ -256,23 +256,26 @@ def project_to_so3(M: ArrayLike) -> FloatArray:
     return U @ Vt
 
 
+def _unit(v: FloatArray) -> FloatArray:
+    return v / np.linalg.norm(v, axis=-1, keepdims=True)
+
+
 def rotation_between(a: ArrayLike, b: ArrayLike) -> FloatArray:
     """(..., 3, 3) smallest rotation that takes the direction a (..., 3) to the direction b (..., 3).
 
     Opposite directions turn by pi about an axis at right angles to a.
     """
-    a, b = _floats(a, 3), _floats(b, 3)
-    a = a / np.linalg.norm(a, axis=-1, keepdims=True)
-    b = b / np.linalg.norm(b, axis=-1, keepdims=True)
-    axis = np.cross(a, b)
+    start, end = _unit(_floats(a, 3)), _unit(_floats(b, 3))
+    axis = np.cross(start, end)
     sine = np.linalg.norm(axis, axis=-1, keepdims=True)
-    turn = np.arctan2(sine, np.sum(a * b, axis=-1, keepdims=True))
-    across = np.cross(a, np.eye(3)[np.argmin(np.abs(a), axis=-1)])
-    across = across / np.linalg.norm(across, axis=-1, keepdims=True)
-    return exp_so3(turn * np.where(sine > 0, axis / np.where(sine > 0, sine, 1.0), across))
+    turn = np.arctan2(sine, np.sum(start * end, axis=-1, keepdims=True))
+    across = np.cross(start, np.eye(3)[np.argmin(np.abs(start), axis=-1)])
+    return exp_so3(turn * np.where(sine > 0, axis / np.where(sine > 0, sine, 1.0), _unit(across)))
 
 
-def mean(T: ArrayLike, weights: ArrayLike | None = None, *, tolerance: float = 1e-12, iterations: int = 50) -> FloatArray:
+def mean(
+    T: ArrayLike, weights: ArrayLike | None = None, *, tolerance: float = 1e-12, iterations: int = 50
+) -> FloatArray:
     """Group mean (..., 4, 4) of poses T (..., N, 4, 4): the pose about which the weighted mean twist is zero.
 
     Args:
