@@ -1,0 +1,7 @@
+"""A session's recording in rerun files: the only modules, with station/view.py, that import rerun (0.6 s)."""
+
+from station.recording.detected import append_detected
+from station.recording.reader import Event, Recording
+from station.recording.writer import RecordingWriter
+
+__all__ = ["Event", "Recording", "RecordingWriter", "append_detected"]

@@ -1,0 +1,39 @@
+"""Names in a recording: timelines, entities, columns and transform frames."""
+
+from __future__ import annotations
+
+APPLICATION = "station"
+# The recording's property with its description, and the entity under which rerun keeps it.
+PROPERTY = "station"
+PROPERTY_ENTITY = "/__properties/station"
+
+# Timelines: time since the session's start; the camera's number of the frame.
+ELAPSED = "elapsed"
+FRAME = "frame"
+
+# Entities.
+COMMANDED = "joints/commanded"
+MEASURED = "joints/measured"
+DETECTED = "joints/detected"
+OBSERVATIONS = "observations"
+IMAGE = "camera/image"
+OVERLAY = "camera/image/markers"
+TRANSFORMS = "tf/markers"
+MARKERS = "markers"
+EVENTS = "log"
+AXES = "fit/axes"
+
+# Columns.
+SCALARS = "Scalars:scalars"
+REQUEST, REPLY = "t_request_ns", "t_reply_ns"
+BLOB = "EncodedImage:blob"
+LEVEL, TEXT = "TextLog:level", "TextLog:text"
+
+# Frames of the viewer's transform graph.
+CAMERA_FRAME = "camera"
+IMAGE_FRAME = "camera_image"
+
+
+def marker_frame(marker_id: int) -> str:
+    """Name of a marker's frame in the viewer."""
+    return f"marker_{marker_id:02d}"

@@ -1,0 +1,139 @@
+"""A session folder on disk: session.json, the names of its files, and what may be written where."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from station.errors import InvalidFile, OutputExists
+
+SESSION_SCHEMA = "session/1"
+STATES = ("recording", "complete", "interrupted")
+
+RECORDING_FILE = "recording.rrd"
+STATUS_FILE = "session.json"
+RIG_FILE = "rig.toml"
+MOTION_FILE = "motion.toml"
+FIT_FOLDER = "fit"
+FIT_FILE = "fit.rrd"
+REPORT_FOLDER = "report"
+
+
+@dataclass(frozen=True)
+class SessionDescription:
+    """What a session is of: written once at its start, into the recording and beside it.
+
+    Attributes:
+        camera: camera.toml's text.
+        markers: markers.toml's text.
+        joints: J names, in the order of the recorded states; none where nothing is commanded.
+        units: J units, "rad" or "m".
+        rig, motion: the texts of rig.toml and motion.toml; None where there was none, as with a video.
+        started: wall-clock time of the start; the only one that a session has.
+        seed: seed of everything random in a simulated session; None on real hardware.
+        versions: of the programs that make it.
+    """
+
+    camera: str
+    markers: str
+    joints: tuple[str, ...]
+    units: tuple[str, ...]
+    rig: str | None
+    motion: str | None
+    started: datetime
+    seed: int | None = None
+    versions: Mapping[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class SessionStatus:
+    """What session.json says.
+
+    Attributes:
+        state: "recording" while it is written (and after a kill), then "complete" or "interrupted".
+        recording_id: the same as in the recording and in the fit's sidecar.
+        started: wall-clock time of the start.
+        ended: wall-clock time of the end; None while it is written.
+        seed: seed of everything random in a simulated session; None on real hardware.
+        counts: frames, dropped frames, bus errors and what else was counted.
+        versions: of the programs that made it.
+
+    Raises:
+        InvalidFile: for another state.
+    """
+
+    state: str
+    recording_id: str
+    started: datetime
+    ended: datetime | None = None
+    seed: int | None = None
+    counts: Mapping[str, int] = field(default_factory=dict)
+    versions: Mapping[str, str] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if self.state not in STATES:
+            raise InvalidFile(f"no session state '{self.state}'; want one of {', '.join(STATES)}")
+
+
+def check_output_folder(path: Path, *, force: bool = False) -> None:
+    """Raise OutputExists unless `path` is new or an empty folder; with `force` a folder may hold anything."""
+    if path.exists() and not path.is_dir():
+        raise OutputExists(f"{path} is a file; want a folder that is new or empty")
+    if path.is_dir() and not force and any(path.iterdir()):
+        raise OutputExists(f"{path} exists and isn't empty\nname another folder with --out, or overwrite with --force")
+
+
+def clear_session(folder: Path) -> None:
+    """Remove an earlier session's files, fit and report, so that nothing of it passes for the next one's."""
+    for name in (RECORDING_FILE, STATUS_FILE, RIG_FILE, MOTION_FILE):
+        (folder / name).unlink(missing_ok=True)
+    for name in (FIT_FOLDER, REPORT_FOLDER):
+        shutil.rmtree(folder / name, ignore_errors=True)
+
+
+def write_status(folder: Path, status: SessionStatus) -> None:
+    """Write session.json in one step: a reader finds the old one or the new one, never half of it."""
+    document = {"schema": SESSION_SCHEMA, **asdict(status)}
+    for key in ("started", "ended"):
+        if (when := document[key]) is not None:
+            document[key] = when.astimezone(UTC).isoformat(timespec="milliseconds")
+    part = folder / f"{STATUS_FILE}.part"
+    with part.open("w", encoding="utf-8") as file:
+        json.dump(document, file, indent=2, allow_nan=False)
+        file.write("\n")
+        file.flush()
+        os.fsync(file.fileno())
+    part.replace(folder / STATUS_FILE)
+
+
+def read_status(folder: Path) -> SessionStatus:
+    """What the folder's session.json says; raises InvalidFile where it is missing, torn or of another schema."""
+    path = folder / STATUS_FILE
+    try:
+        document = json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError as error:
+        raise InvalidFile(f"{path} is missing; a session folder has one") from error
+    except (OSError, ValueError) as error:
+        raise InvalidFile(f"{path} is no JSON: {error}") from error
+    have = document.pop("schema", None) if isinstance(document, dict) else None
+    if have != SESSION_SCHEMA:
+        raise InvalidFile(f"{path} has schema {have!r}; this station reads '{SESSION_SCHEMA}'")
+    try:
+        return _to_status(document)
+    except (TypeError, ValueError, KeyError) as error:
+        raise InvalidFile(f"{path}: {error}") from error
+
+
+def _to_status(document: dict[str, Any]) -> SessionStatus:
+    started, ended = document.pop("started"), document.pop("ended")
+    return SessionStatus(
+        started=datetime.fromisoformat(started),
+        ended=None if ended is None else datetime.fromisoformat(ended),
+        **document,
+    )

@@ -1,0 +1,59 @@
+"""What every test is held to: no thread, file descriptor or listening port stays behind."""
+
+from __future__ import annotations
+
+import gc
+import os
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import hypothesis
+import pytest
+
+# No deadline for an example: machines differ, and a timing is no test.
+hypothesis.settings.register_profile("station", deadline=None)
+hypothesis.settings.load_profile("station")
+# Threads and files that end a moment after the test may do so for this long.
+GRACE_S = 2.0
+# Files that libraries open once for the whole process.
+LASTING = ("/dev/urandom", "/dev/null", ".ttf")  # matplotlib keeps its fonts open
+
+
+def open_files() -> dict[int, str]:
+    """What each file descriptor of this process points to; a listening port is one of them, as a socket."""
+    files: dict[int, str] = {}
+    for name in os.listdir("/proc/self/fd"):  # noqa: PTH208 (a path object for each would be slower)
+        try:
+            files[int(name)] = str(Path(f"/proc/self/fd/{name}").readlink())
+        except OSError:
+            continue  # the descriptor of the listing itself
+    return files
+
+
+def left_behind(threads: set[threading.Thread], files: dict[int, str]) -> list[str]:
+    """Threads and files that are there now and weren't before."""
+    new_threads = [f"thread '{t.name}'" for t in threading.enumerate() if t not in threads and t.is_alive()]
+    new_files = [
+        f"file {fd} -> {target}"
+        for fd, target in open_files().items()
+        if files.get(fd) != target and not target.endswith(LASTING)
+    ]
+    return new_threads + new_files
+
+
+@pytest.fixture(autouse=True)
+def leaves_nothing_behind(request: pytest.FixtureRequest) -> Iterator[None]:
+    """Fail a test that leaves a thread, a file descriptor or a port behind."""
+    if not Path("/proc/self/fd").is_dir():
+        yield
+        return
+    threads, files = set(threading.enumerate()), open_files()
+    yield
+    deadline = time.monotonic() + GRACE_S
+    while (left := left_behind(threads, files)) and time.monotonic() < deadline:
+        gc.collect()
+        time.sleep(0.02)
+    if left:
+        pytest.fail(f"{request.node.name} left behind: {'; '.join(left)}")
