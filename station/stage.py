@@ -1,0 +1,120 @@
+"""The simulated lab of a rig: its mechanism, plates, boxes and camera, and the picture for given joint angles."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from calibration.intrinsics import CameraModel
+from station.formats.rig import RigTable, SimulatedBox, SimulatedPlate, SimulationTable, metres
+from station.kinematics import se3
+from station.kinematics.tree import Joint, KinematicTree
+from station.logs import FloatArray
+from station.perception.markers import MarkerTable
+from station.simulate.render import SceneRenderer
+from station.simulate.scene import Box, CameraOptics, Plate
+
+UP = np.array([0.0, 0.0, 1.0])
+
+
+def _unit(v: ArrayLike) -> FloatArray:
+    v = np.asarray(v, dtype=np.float64)
+    return v / np.linalg.norm(v)
+
+
+def look_at(position_m: FloatArray, target_m: FloatArray) -> FloatArray:
+    """(4, 4) T_world_camera of a camera upright at `position_m` (3,) that looks at `target_m` (3,)."""
+    forward = _unit(target_m - position_m)
+    right = _unit(np.cross(forward, UP))
+    return se3.pose(np.stack([right, np.cross(forward, right), forward], axis=-1), position_m)
+
+
+def facing(position_m: FloatArray, normal: ArrayLike, up: ArrayLike) -> FloatArray:
+    """(4, 4) pose of a plate at `position_m` (3,), its z along `normal` (3,), its y as near `up` (3,) as can be."""
+    z = _unit(normal)
+    y = np.asarray(up, dtype=np.float64)
+    y = _unit(y - z * (y @ z))
+    return se3.pose(np.stack([np.cross(y, z), y, z], axis=-1), position_m)
+
+
+def mechanism(simulation: SimulationTable) -> KinematicTree:
+    """The true tree: all bodies' frames coincide with the root's when all joints are at zero."""
+    joints = tuple(
+        Joint(
+            name=joint.name,
+            type="revolute",
+            parent=joint.parent,
+            child=joint.child,
+            axis_parent=_unit(joint.axis),
+            point_parent_m=metres(joint.point_mm),
+            T_parent_child_zero=np.eye(4),
+        )
+        for joint in simulation.joint
+    )
+    bodies = simulation.bodies()
+    return KinematicTree(root=simulation.root, parts=bodies, rigid_groups=(), trees=(bodies,), joints=joints)
+
+
+class Stage:
+    """The lab that the rendered camera looks at.
+
+    Args:
+        rig: whose joints and markers it shows.
+        simulation: the rig's own.
+        calibration: of the camera; taken to be the truth where the simulation gives none of its own.
+        seed: of the sensor's noise, and of how far the plates and the camera are from where they are drawn.
+    """
+
+    def __init__(self, rig: RigTable, simulation: SimulationTable, calibration: CameraModel, seed: int) -> None:
+        self.tree = mechanism(simulation)
+        self.joints = tuple(joint.name for joint in rig.joint)
+        self._bodies = simulation.bodies()
+        misplaced = _Misplacement(simulation, seed)
+        camera = simulation.camera
+        self.T_camera_root = se3.inverse(misplaced(look_at(metres(camera.position_mm), metres(camera.look_at_mm))))
+        self.plates = tuple(self._plate(plate, rig.marker_table(), misplaced) for plate in simulation.plate)
+        boxes = tuple(self._box(box) for box in simulation.box)
+        optics = CameraOptics(
+            size_px=calibration.size_px,
+            matrix=calibration.matrix if camera.matrix is None else np.array(camera.matrix),
+            distortion=calibration.distortion if camera.distortion is None else np.array(camera.distortion),
+            blur_px=camera.blur_px,
+            noise_grey=camera.noise_grey,
+            gamma=camera.gamma,
+        )
+        self._renderer = SceneRenderer(self.plates, boxes, rig.markers.dictionary, optics, seed)
+
+    def _plate(self, plate: SimulatedPlate, markers: MarkerTable, misplaced: _Misplacement) -> Plate:
+        size_m = next(marker.size_m for marker in markers.markers if marker.id == plate.id)
+        T_body_marker = misplaced(facing(metres(plate.position_mm), plate.normal, plate.up))
+        return Plate(self._bodies.index(plate.body), T_body_marker, size_m, plate.margin_mm / 1e3, plate.id)
+
+    def _box(self, box: SimulatedBox) -> Box:
+        roll, pitch, yaw = (se3.exp_so3(np.radians(a) * axis) for a, axis in zip(box.rpy_deg, np.eye(3), strict=True))
+        T_body_box = se3.pose(yaw @ pitch @ roll, metres(box.position_mm))
+        red, green, blue = (int(box.colour[i : i + 2], 16) for i in (1, 3, 5))
+        return Box(self._bodies.index(box.body), T_body_box, metres(box.size_mm), (blue, green, red))
+
+    def T_camera_bodies(self, q: FloatArray) -> FloatArray:
+        """(..., B, 4, 4) true poses of the bodies in the camera for joint angles q (..., J) in the rig's order."""
+        poses = self.tree.forward({name: q[..., j] for j, name in enumerate(self.joints)})
+        batch = q.shape[:-1]
+        return self.T_camera_root @ np.stack([np.broadcast_to(poses[b], (*batch, 4, 4)) for b in self._bodies], axis=-3)
+
+    def render(self, q: FloatArray, index: int) -> NDArray[np.uint8]:
+        """(H, W, 3) BGR picture number `index` for joint angles q (S, J) at S instants of the exposure."""
+        T_cam_body = self.T_camera_bodies(q)
+        return self._renderer.render(T_cam_body[0] if len(q) == 1 else T_cam_body, index)
+
+
+class _Misplacement:
+    """Moves poses a little, each call another draw, as hands would that build what was drawn."""
+
+    def __init__(self, simulation: SimulationTable, seed: int) -> None:
+        self._rng = np.random.default_rng(seed)
+        self._std: Sequence[float] = [simulation.placement_mm * 1e-3] * 3 + [np.radians(simulation.placement_deg)] * 3
+
+    def __call__(self, T: FloatArray) -> FloatArray:
+        return T @ se3.exp(self._rng.normal(size=6) * self._std)
