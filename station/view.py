@@ -166,11 +166,6 @@ def open_viewer(session: Path) -> Viewer:
     return Viewer([str(path) for path in session_files(session)])
 
 
-def open_live_viewer(port: int) -> Viewer:
-    """Open the viewer on the session that is being recorded and served on this port."""
-    return Viewer(["--connect", f"rerun+http://{HOST}:{port}/proxy"])
-
-
 def screenshot(session: Path, png: Path, t_s: float, *, size_px: tuple[int, int] = (1600, 1000)) -> list[str]:
     """Save a picture of the viewer on a session at `t_s`; returns what its views report as wrong.
 

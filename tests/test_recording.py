@@ -581,3 +581,17 @@ def test_recordings_leave_no_more_threads_than_one_does(tmp_path: Path, frames: 
         Recording.load(make_session(tmp_path / str(k), frames[:2]))
         counts.append(native_threads())
     assert counts[-1] <= counts[1]
+
+
+def test_joints_read_one_after_the_other_are_brought_to_one_time(tmp_path: Path):
+    """Two joints that turn alike at 1 rad/s, read 4 ms apart, agree once both are at the row's time."""
+    about = describe(joints=("pan", "tilt"), units=("rad", "rad"))
+    with RecordingWriter(tmp_path / "s", about, start_ns=0) as writer:
+        for row in range(20):
+            request_ns = row * 20_000_000
+            own_ns = request_ns + np.array([1_000_000, 5_000_000])
+            writer.log_reading(request_ns, request_ns + 6_000_000, own_ns * 1e-9, own_ns)
+        writer.close("complete")
+    measured = Recording.load(tmp_path / "s").measured
+    np.testing.assert_allclose(measured.q[1:-1, 0], measured.t_s[1:-1], atol=1e-12)
+    np.testing.assert_allclose(measured.q[1:-1, 1], measured.t_s[1:-1], atol=1e-12)

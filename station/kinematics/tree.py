@@ -101,6 +101,14 @@ class Joint:
         """T_parent_child (..., 4, 4) at states q (...,) in rad or m; a rigid joint ignores them but for their shape."""
         return self.kind.forward(self.geometry, np.asarray(q, dtype=np.float64))
 
+    def with_sign(self, sign: int) -> Joint:
+        """The same joint for sign +1; for -1 its axis turned round, so that its state counts the other way."""
+        if sign > 0 or self.axis_parent is None:
+            return self
+        low, high = (None if x is None else -x for x in (self.state_max, self.state_min))
+        limits = None if self.limits is None else (-self.limits[1], -self.limits[0])
+        return replace(self, axis_parent=-self.axis_parent, state_min=low, state_max=high, limits=limits)
+
     def reversed(self) -> Joint:
         """The same joint seen from its child: for the same q the same relative motion.
 

@@ -25,7 +25,7 @@ AXES = "fit/axes"
 
 # Columns.
 SCALARS = "Scalars:scalars"
-REQUEST, REPLY = "t_request_ns", "t_reply_ns"
+REQUEST, REPLY, JOINT_STAMPS = "t_request_ns", "t_reply_ns", "t_joint_ns"
 BLOB = "EncodedImage:blob"
 LEVEL, TEXT = "TextLog:level", "TextLog:text"
 

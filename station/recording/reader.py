@@ -29,6 +29,7 @@ from station.recording.layout import (
     EVENTS,
     FRAME,
     IMAGE,
+    JOINT_STAMPS,
     LEVEL,
     MEASURED,
     OBSERVATIONS,
@@ -68,7 +69,8 @@ class Recording:
         description: the texts of rig, motion, camera and markers, and what else was known at the start.
         start_ns: the session's start on its clock.
         commanded: (T, J) states at the stamps of sending.
-        measured: (T, J) states that the servos reported, at the midpoints of request and reply.
+        measured: (T, J) states that the servos reported, at the midpoints of request and reply; joints that were read
+            at times of their own are interpolated to them.
         stamps_ns: (T, 2) request and reply of each row of `measured`, on the session's clock.
         observations: the markers of each frame.
         frame_index: (F,) the camera's number of each row of `observations.t_s`; dropped frames leave gaps.
@@ -215,7 +217,7 @@ def _assembled(path: Path, batches: Batches, notices: tuple[str, ...]) -> Record
     recording_id, start_ns, description = _description(batches.get(PROPERTY_ENTITY.lstrip("/"), ()))
     joints, units = description.joints, description.units
     commanded = Rows(batches.get(COMMANDED, ()), ELAPSED, [SCALARS])
-    measured = Rows(batches.get(MEASURED, ()), ELAPSED, [SCALARS, REQUEST, REPLY])
+    measured = Rows(batches.get(MEASURED, ()), ELAPSED, [SCALARS, REQUEST, REPLY, JOINT_STAMPS])
     observed = Rows(batches.get(OBSERVATIONS, ()), ELAPSED, [FRAME, *OBSERVED])
     stamps_ns = _stamps(measured)
     keep = _last_of_equal(stamps_ns.sum(axis=1))
@@ -227,7 +229,7 @@ def _assembled(path: Path, batches: Batches, notices: tuple[str, ...]) -> Record
         description=description,
         start_ns=start_ns,
         commanded=JointLog(_seconds(commanded.times[sent]), joints, _states(commanded, len(joints))[sent], units),
-        measured=JointLog(read_s, joints, _states(measured, len(joints))[keep], units),
+        measured=JointLog(read_s, joints, _at_one_time(measured, len(joints), start_ns, keep, read_s), units),
         stamps_ns=stamps_ns[keep],
         observations=_observations(observed),
         frame_index=observed.index(FRAME),
@@ -281,6 +283,20 @@ def _states(rows: Rows, joints: int) -> FloatArray:
 def _stamps(rows: Rows) -> IntArray:
     ones = np.ones(len(rows), np.int64)
     return np.stack([rows.integers(REQUEST, ones), rows.integers(REPLY, ones)], axis=1)
+
+
+def _at_one_time(rows: Rows, joints: int, start_ns: int, keep: NDArray[np.bool_], read_s: FloatArray) -> FloatArray:
+    """(T, J) states at the rows' times, interpolated between each joint's own stamps.
+
+    Servos without a group read are asked one after the other, some milliseconds apart.
+    """
+    states = _states(rows, joints)[keep]
+    own_s = _seconds(rows.integers(JOINT_STAMPS, np.full(len(rows), 1), (joints,))[keep] - start_ns)
+    if not len(read_s):
+        return states
+    interpolated = np.stack([np.interp(read_s, own_s[:, j], states[:, j]) for j in range(joints)], axis=1)
+    as_read = np.abs(own_s - read_s[:, None]) < 1 / NS_PER_S  # a midpoint may lie between two nanoseconds
+    return np.where(as_read, states, interpolated)
 
 
 def _last_of_equal(times: IntArray) -> NDArray[np.bool_]:

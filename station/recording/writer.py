@@ -39,6 +39,7 @@ from station.recording.layout import (
     EVENTS,
     FRAME,
     IMAGE,
+    JOINT_STAMPS,
     MEASURED,
     OBSERVATIONS,
     OVERLAY,
@@ -206,11 +207,22 @@ class RecordingWriter:
         self._log(t_ns, COMMANDED, rr.Scalars(states))
         self._counts["commands"] += 1
 
-    def log_reading(self, t_request_ns: int, t_reply_ns: int, q: ArrayLike) -> None:
-        """Log the joint states (J,) that the servos reported (rad or m), with the stamps of request and reply."""
+    def log_reading(
+        self, t_request_ns: int, t_reply_ns: int, q: ArrayLike, t_joint_ns: ArrayLike | None = None
+    ) -> None:
+        """Log the joint states (J,) that the servos reported (rad or m), with the stamps of request and reply.
+
+        t_joint_ns (J,) are the joints' own stamps where they were asked one after the other; the midpoint if None.
+        """
         states = _shape(q, (len(self._about.joints),), "a reading")
-        stamps = rr.AnyValues(**{REQUEST: _integer(t_request_ns), REPLY: _integer(t_reply_ns)})
-        self._log((t_request_ns + t_reply_ns) // 2, MEASURED, rr.Scalars(states), stamps)
+        middle_ns = (t_request_ns + t_reply_ns) // 2
+        own_ns = np.full(len(states), middle_ns) if t_joint_ns is None else np.asarray(t_joint_ns, dtype=np.int64)
+        stamps = {
+            REQUEST: _integer(t_request_ns),
+            REPLY: _integer(t_reply_ns),
+            JOINT_STAMPS: pa.array(own_ns, pa.int64()),
+        }
+        self._log(middle_ns, MEASURED, rr.Scalars(states), rr.AnyValues(**stamps))
         self._counts["readings"] += 1
 
     def log_event(self, t_ns: int, level: str, text: str) -> None:

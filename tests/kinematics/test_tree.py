@@ -311,3 +311,21 @@ def test_names_that_are_not_there_are_refused_with_those_that_are():
 def test_a_tree_file_may_say_more_of_a_joint():
     joint = replace(hinge(), limits=[-1, 1], probability={"revolute": 1.0})
     assert joint.limits == (-1, 1)
+
+
+def test_a_joint_turned_round_moves_the_same_for_the_opposite_state():
+    joint = Joint(
+        name="pan",
+        type="revolute",
+        parent="base",
+        child="link",
+        axis_parent=np.array([0.0, 0.6, 0.8]),
+        point_parent_m=np.array([0.1, 0.2, 0.3]),
+        T_parent_child_zero=se3.exp(np.arange(6) / 10),
+        state_min=-0.5,
+        state_max=1.0,
+    )
+    turned = joint.with_sign(-1)
+    np.testing.assert_allclose(turned.forward(-0.7), joint.forward(0.7), atol=1e-12)
+    assert (turned.state_min, turned.state_max) == (-1.0, 0.5)
+    assert joint.with_sign(1) is joint

@@ -1,0 +1,267 @@
+"""Runs a planned motion on a rig into a recording: commands, read-back, frames and markers, and a declared end.
+
+The servo loop runs in the calling thread; frames are detected, encoded and recorded in a thread of their own, in order.
+On a virtual clock the loop waits for that thread (nothing is dropped); on a real one a full queue drops the frame and
+counts it.
+"""
+
+from __future__ import annotations
+
+import queue
+import threading
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
+from types import TracebackType
+
+import numpy as np
+
+from drivers.camera import Frame
+from drivers.errors import ArmFault, DriverError
+from station.logs import FloatArray
+from station.motion import Plan
+from station.perception.corners import MarkerDetector
+from station.recording import RecordingWriter
+from station.rig import Rig
+from station.tracking import observe
+
+NS_PER_S = 1_000_000_000
+SERVO_RATE_HZ = 50.0
+QUEUED_FRAMES = 32
+# Approaching the start and parking: no faster than this, so that a person can step back.
+APPROACH_SPEED_RAD_S = np.radians(20.0)
+# An arm within this of its goal has arrived; servos hold to a count or two (0.3 deg each on AX).
+ARRIVED_RAD = np.radians(2.0)
+# An approach may take this many times as long as at constant speed, plus the extra seconds, before it counts as stuck.
+PATIENCE = 1.5
+PATIENCE_S = 3.0
+
+Progress = Callable[[float, float], None]
+
+
+@dataclass(frozen=True)
+class CaptureCounts:
+    """What happened to the samples of a session."""
+
+    frames: int
+    dropped_frames: int
+    commands: int
+    readings: int
+    bus_errors: int
+
+    def as_dict(self) -> dict[str, int]:
+        """The counts by name, as in session.json."""
+        return {name: getattr(self, name) for name in self.__dataclass_fields__}
+
+
+class FrameWorker:
+    """Detects the markers of frames and records both, one frame after another, in a thread of its own.
+
+    Raises, from `put` and on leaving, what went wrong in the thread.
+    """
+
+    def __init__(self, rig: Rig, writer: RecordingWriter) -> None:
+        self._rig = rig
+        self._writer = writer
+        self._detector = MarkerDetector(rig.markers.dictionary)
+        self._frames: queue.Queue[Frame | None] = queue.Queue(QUEUED_FRAMES)
+        self._failure: BaseException | None = None
+        self._thread = threading.Thread(target=self._run, name="frames", daemon=True)
+        self.recorded = 0
+        self.dropped = 0
+
+    def __enter__(self) -> FrameWorker:
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._frames.put(None)
+        self._thread.join()
+        if kind is None:
+            self._check()
+
+    def put(self, frame: Frame) -> None:
+        """Hand over a frame; with no place left, waits on a virtual clock, drops and counts it on a real one."""
+        self._check()
+        try:
+            self._frames.put(frame, block=self._rig.virtual)
+        except queue.Full:
+            self.dropped += 1
+
+    def _check(self) -> None:
+        if self._failure is not None:
+            raise self._failure
+
+    def _run(self) -> None:
+        while (frame := self._frames.get()) is not None:
+            if self._failure is not None:
+                continue  # drain, so that nobody waits on a full queue
+            try:
+                self._record(frame)
+            except BaseException as error:  # carried to the thread that can act on it
+                self._failure = error
+
+    def _record(self, frame: Frame) -> None:
+        found = self._detector.detect(frame.image)
+        ids, corners_px, poses = observe(found, self._rig.markers, self._rig.camera_model)
+        self._writer.log_frame(
+            frame.index,
+            frame.t_ns,
+            frame.image,
+            marker_id=ids,
+            corners_px=corners_px,
+            T_cam_marker=poses.T_cam_marker,
+            rms_px=poses.rms_px,
+        )
+        self.recorded += 1
+
+
+class Capture:
+    """One capture: from a connected rig to a closed recording, with the arm left as the rig declares."""
+
+    def __init__(self, rig: Rig, plan: Plan, writer: RecordingWriter, progress: Progress | None = None) -> None:
+        self._rig = rig
+        self._plan = plan
+        self._writer = writer
+        self._progress = progress
+        self._standing: FloatArray = plan.park
+        self._commands = 0
+        self._readings = 0
+        self._powered = False
+
+    def run(self) -> CaptureCounts:
+        """Capture the whole plan.
+
+        Raises:
+            StationError: the arm doesn't arrive, the recording can't be written.
+            DriverError: the bus or the camera fails. On every exit the arm is left as `[safety] at_exit` says, and the
+                recording is closed as "complete" or, after any exception, "interrupted".
+        """
+        worker = FrameWorker(self._rig, self._writer)
+        state = "interrupted"
+        try:
+            self._move(worker)
+            self._leave()
+            state = "complete"
+        finally:
+            self._writer.close(state, self._counts(worker).as_dict())
+        return self._counts(worker)
+
+    def _move(self, worker: FrameWorker) -> None:
+        """The motion; after a failure the arm is left as declared before the failure goes on."""
+        try:
+            self._prepare()
+            with worker:
+                self._follow(worker)
+        except BaseException as error:
+            self._event("ERROR", str(error) or type(error).__name__)
+            with suppress(DriverError):  # it is in the log; the first error is the one to tell
+                self._leave()
+            raise
+
+    def _counts(self, worker: FrameWorker) -> CaptureCounts:
+        return CaptureCounts(
+            frames=worker.recorded,
+            dropped_frames=worker.dropped + self._rig.camera.dropped,
+            commands=self._commands,
+            readings=self._readings,
+            bus_errors=sum(self._rig.arm.bus_errors.values()),
+        )
+
+    def _event(self, level: str, text: str) -> None:
+        self._writer.log_event(self._rig.clock.now_ns(), level, text)
+
+    def _prepare(self) -> None:
+        """Check the servos, switch torque on where the arm stands, and go to the park pose."""
+        self._rig.arm.connect()
+        self._event("INFO", f"connected: {', '.join(self._rig.arm.names)}")
+        self._powered = True
+        self._rig.arm.torque_on()
+        self._approach(self._plan.park)
+
+    def _approach(self, goal: FloatArray) -> None:
+        """Go to a pose slowly and wait until the arm is there."""
+        arm, clock = self._rig.arm, self._rig.clock
+        speeds = np.array([min(joint.max_speed, APPROACH_SPEED_RAD_S) for joint in self._plan.joints])
+        arm.set_speeds(speeds)
+        distance = np.abs(arm.read().q_rad - goal)
+        arm.command(goal)
+        deadline = clock.now_ns() + int(NS_PER_S * (PATIENCE_S + PATIENCE * float(np.max(distance / speeds))))
+        while np.any(np.abs(arm.read().q_rad - goal) > ARRIVED_RAD):
+            if clock.now_ns() > deadline:
+                far = np.degrees(arm.read().q_rad - goal)
+                worst = int(np.argmax(np.abs(far)))
+                where = f"{arm.names[worst]} is {far[worst]:.1f} deg from its goal"
+                raise ArmFault(f"{where} and does not get there; is it blocked?", joint=arm.names[worst])
+            clock.sleep_until_ns(clock.now_ns() + int(NS_PER_S / SERVO_RATE_HZ))
+
+    def _follow(self, worker: FrameWorker) -> None:
+        """The servo loop: send what is due, read back, take the frames that arrive before the next turn."""
+        clock, plan = self._rig.clock, self._plan
+        while self._rig.camera.read(clock.now_ns()) is not None:
+            pass  # frames from before the motion
+        start_ns = clock.now_ns()
+        due_ns = start_ns + (plan.command_times_s() * NS_PER_S).astype(np.int64)
+        goals = plan.commanded(plan.command_times_s())
+        self._event("INFO", f"motion '{plan.motion.name}' starts: {plan.duration_s:.1f} s")
+        sent, turn, end_ns = 0, 0, start_ns + int(plan.duration_s * NS_PER_S)
+        segment = -1
+        while clock.now_ns() < end_ns:
+            now_ns = clock.now_ns()
+            while sent < len(due_ns) and due_ns[sent] <= now_ns:
+                segment = self._send(goals[sent], (due_ns[sent] - start_ns) / NS_PER_S, segment)
+                sent += 1
+            self._read()
+            turn = max(turn + 1, int((clock.now_ns() - start_ns) * SERVO_RATE_HZ / NS_PER_S))
+            next_ns = start_ns + int(turn * NS_PER_S / SERVO_RATE_HZ)
+            while (frame := self._rig.camera.read(next_ns)) is not None:
+                worker.put(frame)
+            if self._progress is not None:
+                self._progress(min((clock.now_ns() - start_ns) / NS_PER_S, plan.duration_s), plan.duration_s)
+        self._event("INFO", "motion done")
+
+    def _send(self, goal: FloatArray, t_s: float, segment: int) -> int:
+        """Command a goal, with the speeds of its segment; returns the segment's number."""
+        starts = [s.t_start_s for s in self._plan.segments]
+        current = max(int(np.searchsorted(starts, t_s + 0.5 / NS_PER_S, side="right")) - 1, 0)
+        if current != segment:
+            self._rig.arm.set_speeds(self._speeds(current))
+            self._event("INFO", f"step {self._plan.segments[current].step}")
+        self._rig.arm.command(goal)
+        self._standing = goal
+        self._commands += 1
+        return current
+
+    def _speeds(self, segment: int) -> FloatArray:
+        """The servos' own speed limits: the step's, which shapes a step; the joints' greatest, to follow a stream."""
+        if self._plan.motion.mode == "step":
+            return self._plan.segments[segment].speed
+        return np.array([joint.max_speed for joint in self._plan.joints])
+
+    def _read(self) -> None:
+        """Read the joints back and record them beside the command that stands."""
+        reading = self._rig.arm.read()
+        self._writer.log_command(reading.t_request_ns, self._standing)
+        self._writer.log_reading(reading.t_request_ns, reading.t_reply_ns, reading.q_rad, reading.t_joint_ns)
+        self._readings += 1
+
+    def _leave(self) -> None:
+        """Leave the arm as the rig declares: each step is tried, the first failure is raised when all have been."""
+        at_exit = self._rig.table.safety.at_exit
+        failures: list[DriverError] = []
+        steps: list[Callable[[], None]] = []
+        if at_exit == "park-then-release":
+            steps.append(lambda: self._approach(self._plan.park))
+        if at_exit != "hold":
+            steps.append(self._rig.arm.torque_off)
+        for step in steps if self._powered else ():
+            try:
+                step()
+            except DriverError as error:
+                failures.append(error)
+                self._event("ERROR", f"leaving the arm: {error}")
+        if failures:
+            raise failures[0]
+        self._event("INFO", f"arm left: {at_exit if self._powered else 'as it was found'}")

@@ -1,0 +1,39 @@
+"""Short sessions for the tests, captured with the packaged demo rig."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from station import commands
+from station.capture import CaptureCounts
+
+# Two joints move by enough to be found; two seconds and a half.
+SHORT = """
+schema = "motion/1"
+name = "short"
+[[step]]
+move = { base_pan = 30, elbow = -30 }
+speed_deg_s = 50
+hold_s = 0.2
+[[step]]
+move = { base_pan = -10, elbow = 0, shoulder = 25, wrist = 40 }
+speed_deg_s = 50
+hold_s = 0.2
+[[step]]
+move = { base_pan = 0, shoulder = 0, wrist = 0 }
+speed_deg_s = 50
+hold_s = 0.1
+"""
+
+
+def write_motion(folder: Path, text: str = SHORT) -> str:
+    """A motion file in `folder`; returns its path."""
+    path = folder / "motion.toml"
+    path.write_text(text, encoding="utf-8")
+    return str(path)
+
+
+def capture_short(folder: Path, *, seed: int = 0, rig: str = "demo") -> tuple[Path, CaptureCounts]:
+    """A short session in `folder`/session, and its counts."""
+    out = folder / "session"
+    return out, commands.capture(rig, write_motion(folder), out, seed=seed)
