@@ -130,6 +130,7 @@ class Capture:
         self._commands = 0
         self._readings = 0
         self._powered = False
+        self._segment = -1
 
     def run(self) -> CaptureCounts:
         """Capture the whole plan.
@@ -203,16 +204,16 @@ class Capture:
         while self._rig.camera.read(clock.now_ns()) is not None:
             pass  # frames from before the motion
         start_ns = clock.now_ns()
-        due_ns = start_ns + (plan.command_times_s() * NS_PER_S).astype(np.int64)
-        goals = plan.commanded(plan.command_times_s())
+        times_s = plan.command_times_s()
+        due_ns = start_ns + np.round(times_s * NS_PER_S).astype(np.int64)
+        goals, segments = plan.commanded(times_s), plan.segment_index(times_s)
         self._event("INFO", f"motion '{plan.motion.name}' starts: {plan.duration_s:.1f} s")
         sent, turn, end_ns = 0, 0, start_ns + int(plan.duration_s * NS_PER_S)
-        segment = -1
         while clock.now_ns() < end_ns:
-            now_ns = clock.now_ns()
-            while sent < len(due_ns) and due_ns[sent] <= now_ns:
-                segment = self._send(goals[sent], (due_ns[sent] - start_ns) / NS_PER_S, segment)
-                sent += 1
+            due = int(np.searchsorted(due_ns, clock.now_ns(), side="right"))
+            if due > sent:  # of several that are due only the latest still counts
+                self._send(goals[due - 1], int(segments[due - 1]))
+                sent = due
             self._read()
             turn = max(turn + 1, int((clock.now_ns() - start_ns) * SERVO_RATE_HZ / NS_PER_S))
             next_ns = start_ns + int(turn * NS_PER_S / SERVO_RATE_HZ)
@@ -222,17 +223,15 @@ class Capture:
                 self._progress(min((clock.now_ns() - start_ns) / NS_PER_S, plan.duration_s), plan.duration_s)
         self._event("INFO", "motion done")
 
-    def _send(self, goal: FloatArray, t_s: float, segment: int) -> int:
-        """Command a goal, with the speeds of its segment; returns the segment's number."""
-        starts = [s.t_start_s for s in self._plan.segments]
-        current = max(int(np.searchsorted(starts, t_s + 0.5 / NS_PER_S, side="right")) - 1, 0)
-        if current != segment:
-            self._rig.arm.set_speeds(self._speeds(current))
-            self._event("INFO", f"step {self._plan.segments[current].step}")
+    def _send(self, goal: FloatArray, segment: int) -> None:
+        """Command a goal; where a segment begins, with its speeds."""
+        if segment != self._segment:
+            self._segment = segment
+            self._rig.arm.set_speeds(self._speeds(segment))
+            self._event("INFO", f"step {self._plan.segments[segment].step}")
         self._rig.arm.command(goal)
         self._standing = goal
         self._commands += 1
-        return current
 
     def _speeds(self, segment: int) -> FloatArray:
         """The servos' own speed limits: the step's, which shapes a step; the joints' greatest, to follow a stream."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from station.errors import InvalidData, LimitExceeded
 from station.logs import FloatArray, check_slugs, frozen_floats
@@ -127,17 +127,22 @@ class Plan:
     def commanded(self, t_s: ArrayLike) -> FloatArray:
         """Commanded states (..., J), rad or m, at times (...,) from the start; the park pose before it."""
         t = np.asarray(t_s, dtype=np.float64)
-        starts = np.array([segment.t_start_s for segment in self.segments])
-        index = np.maximum(np.searchsorted(starts, t, side="right") - 1, 0)
+        index = self.segment_index(t)
         q_from, q_to = (np.stack([getattr(s, name) for s in self.segments])[index] for name in ("q_from", "q_to"))
-        share = self._share(t, index, starts)[..., None]
-        return np.where((t < starts[0])[..., None], self.park, q_from + share * (q_to - q_from))
+        share = self._share(t, index)[..., None]
+        return np.where((t < self.segments[0].t_start_s)[..., None], self.park, q_from + share * (q_to - q_from))
 
-    def _share(self, t: FloatArray, index: np.ndarray, starts: FloatArray) -> FloatArray:
+    def segment_index(self, t_s: ArrayLike) -> NDArray[np.intp]:
+        """Index (...,) of the segment that is under way at times (...,) from the start; 0 before it."""
+        starts = [segment.t_start_s for segment in self.segments]
+        return np.maximum(np.searchsorted(starts, np.asarray(t_s), side="right") - 1, 0)
+
+    def _share(self, t: FloatArray, index: NDArray[np.intp]) -> FloatArray:
         if self.motion.mode == "step":
             return np.ones_like(t)
+        start_s = np.array([segment.t_start_s for segment in self.segments])[index]
         move_s = np.array([segment.move_s for segment in self.segments])[index]
-        return np.clip((t - starts[index]) / np.where(move_s > 0, move_s, 1.0), 0.0, 1.0)
+        return np.clip((t - start_s) / np.where(move_s > 0, move_s, 1.0), 0.0, 1.0)
 
 
 def plan_motion(motion: Motion, joints: Sequence[JointLimits]) -> Plan:

@@ -38,6 +38,19 @@ def test_a_session_is_complete_and_its_counts_are_those_of_the_recording(short: 
     assert json.loads((folder / "session.json").read_text(encoding="utf-8"))["counts"]["frames"] == counts.frames
 
 
+def test_each_step_of_the_packaged_motion_sets_its_own_speed(tmp_path: Path):
+    """Starts of steps fall between nanoseconds; none may be taken for the step before it."""
+    planned_demo = commands.plan("demo", "demo")
+    rounded = np.round(planned_demo.command_times_s() * 1e9) * 1e-9
+    assert np.any(rounded < planned_demo.command_times_s())  # or this shows nothing
+    writer = Writer()
+    with demo_rig() as rig:
+        capture = Capture(with_camera(rig, NoFrames(rig)), planned_demo, writer)
+        capture.run()
+    steps = [event for event in writer.events if event.startswith("INFO step")]
+    assert steps == [f"INFO step {number}" for number in range(1, 15)]
+
+
 def test_the_servos_speed_limit_shapes_the_steps(short: tuple[Path, CaptureCounts]):
     recording = Recording.load(short[0])
     pan = np.degrees(recording.measured.state("base_pan"))
@@ -112,6 +125,19 @@ def demo_rig() -> Iterator[Rig]:
 
 def planned(tmp_path: Path):
     return commands.plan("demo", write_motion(tmp_path))
+
+
+class NoFrames:
+    """A camera that never has a frame."""
+
+    size_px, fps, dropped = (640, 480), 30.0, 0
+
+    def __init__(self, rig: Rig) -> None:
+        self._clock = rig.clock
+
+    def read(self, until_ns: int) -> Frame | None:
+        self._clock.sleep_until_ns(until_ns)
+        return None
 
 
 class FailingCamera:
