@@ -33,7 +33,7 @@ def test_detected_angles_agree_with_the_read_back(demo: Path):
 def test_the_base_turns_to_80_degrees_and_is_seen_there(demo: Path):
     pan = np.degrees(Recording.load(demo).measured.state("base_pan"))
     assert pan.max() > 79 and pan.min() < -79
-    tree, states = commands.load_fit(demo / "fit")
+    _, states = commands.load_fit(demo / "fit")
     assert np.ptp(np.degrees(states.state("base_pan")[np.isfinite(states.state("base_pan"))])) > 155
 
 

@@ -130,7 +130,7 @@ class SimulatedPlate(StrictModel):
     position_mm: Vector
     normal: Vector
     up: Vector = Field(default_factory=lambda: [0.0, 0.0, 1.0])
-    margin_mm: NotNegative = 6.0
+    margin_mm: NotNegative = 8.5
 
 
 class SimulatedBox(StrictModel):

@@ -86,11 +86,10 @@ def identity(*batch: int) -> FloatArray:
 
 def pose(R: ArrayLike, t: ArrayLike) -> FloatArray:
     """(..., 4, 4) pose of rotation R (..., 3, 3) and translation t (..., 3) in metres."""
-    R, t = _floats(R, 3, 3), _floats(t, 3)
-    batch = np.broadcast_shapes(R.shape[:-2], t.shape[:-1])
-    T = identity(*batch)
-    T[..., :3, :3] = R
-    T[..., :3, 3] = t
+    rotation, shift = _floats(R, 3, 3), _floats(t, 3)
+    T = identity(*np.broadcast_shapes(rotation.shape[:-2], shift.shape[:-1]))
+    T[..., :3, :3] = rotation
+    T[..., :3, 3] = shift
     T[np.isnan(T).any(axis=(-2, -1))] = np.nan
     return T
 
@@ -145,9 +144,9 @@ def _quaternion_wxyz(R: FloatArray) -> FloatArray:
         axis=-2,
     )
     best = np.argmax(np.diagonal(rows, axis1=-2, axis2=-1), axis=-1)[..., None, None]
-    q = np.take_along_axis(rows, best, axis=-2)[..., 0, :]
-    q = q / np.linalg.norm(q, axis=-1, keepdims=True)
-    return np.where(q[..., :1] < 0, -q, q)
+    q: FloatArray = np.take_along_axis(rows, best, axis=-2)[..., 0, :]
+    unit = _unit(q)
+    return np.where(unit[..., :1] < 0, -unit, unit)
 
 
 def log_so3(R: ArrayLike) -> FloatArray:
@@ -185,17 +184,17 @@ def exp(xi: ArrayLike) -> FloatArray:
 
 def log(T: ArrayLike) -> FloatArray:
     """Twist (..., 6) = [v (m), w (rad)] of poses (..., 4, 4); the rotation is at most pi."""
-    T = _floats(T, 4, 4)
-    w = log_so3(T[..., :3, :3])
-    v = (inverse_left_jacobian_so3(w) @ T[..., :3, 3:])[..., 0]
+    pose_of = _floats(T, 4, 4)
+    w = log_so3(pose_of[..., :3, :3])
+    v = (inverse_left_jacobian_so3(w) @ pose_of[..., :3, 3:])[..., 0]
     return np.concatenate([v, w], axis=-1)
 
 
 def inverse(T: ArrayLike) -> FloatArray:
     """(..., 4, 4) inverse: from `T_a_b` to `T_b_a`."""
-    T = _floats(T, 4, 4)
-    R_t = np.swapaxes(T[..., :3, :3], -1, -2)
-    return pose(R_t, -(R_t @ T[..., :3, 3:])[..., 0])
+    forward = _floats(T, 4, 4)
+    R_t = np.swapaxes(forward[..., :3, :3], -1, -2)
+    return pose(R_t, -(R_t @ forward[..., :3, 3:])[..., 0])
 
 
 def _blocks(diagonal: FloatArray, upper: FloatArray) -> FloatArray:
@@ -208,8 +207,8 @@ def _blocks(diagonal: FloatArray, upper: FloatArray) -> FloatArray:
 
 def adjoint(T: ArrayLike) -> FloatArray:
     """(..., 6, 6) Ad with T @ exp(xi) = exp(Ad xi) @ T."""
-    T = _floats(T, 4, 4)
-    return _blocks(T[..., :3, :3], hat3(T[..., :3, 3]) @ T[..., :3, :3])
+    moved = _floats(T, 4, 4)
+    return _blocks(moved[..., :3, :3], hat3(moved[..., :3, 3]) @ moved[..., :3, :3])
 
 
 def _coupling(xi: FloatArray) -> FloatArray:
@@ -286,13 +285,13 @@ def mean(
     Raises:
         InvalidData: if the iteration does not settle, as for poses spread over more than a half turn.
     """
-    T = _floats(T, 4, 4)
-    w = np.ones(T.shape[:-2]) if weights is None else np.broadcast_to(weights, T.shape[:-2])
-    w = w / w.sum(axis=-1, keepdims=True)
-    R = project_to_so3(np.einsum("...n,...nij->...ij", w, T[..., :3, :3]))
-    centre = pose(R, np.einsum("...n,...ni->...i", w, T[..., :3, 3]))
+    poses = _floats(T, 4, 4)
+    given = np.ones(poses.shape[:-2]) if weights is None else np.broadcast_to(weights, poses.shape[:-2])
+    w = given / given.sum(axis=-1, keepdims=True)
+    R = project_to_so3(np.einsum("...n,...nij->...ij", w, poses[..., :3, :3]))
+    centre = pose(R, np.einsum("...n,...ni->...i", w, poses[..., :3, 3]))
     for _ in range(iterations):  # a fixed-point iteration: each step needs the last
-        step = np.einsum("...n,...ni->...i", w, log(inverse(centre)[..., None, :, :] @ T))
+        step = np.einsum("...n,...ni->...i", w, log(inverse(centre)[..., None, :, :] @ poses))
         centre = centre @ exp(step)
         if not np.any(np.abs(step) > tolerance):
             return centre
@@ -301,8 +300,8 @@ def mean(
 
 def to_xyz_wxyz(T: ArrayLike) -> tuple[FloatArray, FloatArray]:
     """Positions (..., 3) in metres and unit quaternions (..., 4), w first and not negative."""
-    T = _floats(T, 4, 4)
-    return T[..., :3, 3].copy(), _quaternion_wxyz(T[..., :3, :3])
+    poses = _floats(T, 4, 4)
+    return poses[..., :3, 3].copy(), _quaternion_wxyz(poses[..., :3, :3])
 
 
 def from_xyz_wxyz(xyz: ArrayLike, wxyz: ArrayLike) -> FloatArray:

@@ -23,7 +23,7 @@ WORKERS = 2
 
 
 def structure_right(tree: KinematicTree) -> bool:
-    """Whether the tree is the arm: two trackers a body, four revolute joints in the arm's order, its base at the root."""
+    """Whether the tree is the arm: two trackers a body, four revolute joints in its order from the base."""
     groups = {frozenset(group) for group in tree.rigid_groups}
     joints = [(joint.name, joint.type, tree.body_of(joint.parent), tree.body_of(joint.child)) for joint in tree.joints]
     chain = [(name, "revolute", *BODIES[i : i + 2]) for i, name in enumerate(JOINTS)]
@@ -58,7 +58,8 @@ def main() -> None:
         for seed, right, rmse, wall_s in pool.map(run_seed, seeds):
             row = [rmse.get(joint, np.nan) for joint in JOINTS]
             errors.append(row)
-            print(f"{seed:4}  {'right' if right else 'WRONG':9}  " + "  ".join(f"{e:9.3f}" for e in row) + f"   {wall_s:8.1f}")
+            said = "right" if right else "WRONG"
+            print(f"{seed:4}  {said:9}  " + "  ".join(f"{e:9.3f}" for e in row) + f"   {wall_s:8.1f}")
     print(f"{'max':>4}  {'':9}  " + "  ".join(f"{e:9.3f}" for e in np.max(errors, axis=0)) + "   RMSE [deg]")
 
 

@@ -53,7 +53,7 @@ def numeric_jacobian(f, xi: np.ndarray, step: float) -> np.ndarray:
 @pytest.mark.parametrize("length", (0.0, 1e-9, 1e-3, 1.0, 3.0))
 @pytest.mark.parametrize("angle", (0.0, 1e-12, 1e-9, 1e-4, 1e-2, 0.5, 0.9999, 1.0, 1.0001, 2.5, np.pi - 1e-3))
 def test_jacobians_agree_with_finite_differences(angle: float, length: float):
-    """Translation and rotation shrink independently: a half-order error near the identity shows when only one is small."""
+    """Translation and rotation shrink independently: an error of half order shows when only one is small."""
     xi = twist(angle, length, 7)
     T = se3.exp(xi)
     left = numeric_jacobian(lambda x: se3.log(se3.exp(x) @ se3.inverse(T)), xi, 1e-5)
