@@ -1,0 +1,8 @@
+"""Figures, tables and the HTML report of a session; matplotlib and jinja2 are imported here alone, and late."""
+
+from station.report.figure7 import Viewing, figure7
+from station.report.page import save_figure, write_report
+from station.report.tables import summary_rows, tree_rows
+from station.report.tree_figure import tree_figure
+
+__all__ = ["Viewing", "figure7", "save_figure", "summary_rows", "tree_figure", "tree_rows", "write_report"]
