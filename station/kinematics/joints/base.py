@@ -4,10 +4,10 @@ Every type here is a one-parameter subgroup of SE(3) between two fixed poses,
 
     T_parent_child(q) = T_parent_axis @ exp(q * screw) @ T_axis_child,
 
-with a unit `screw` in the axis frame: Trans_z for prismatic, R_z for revolute, none for rigid. The paper's parametrisations
-(18, 20, 22) are special cases: `o = T_parent_axis @ T_axis_child`, `r = T_parent_axis`, `c = T_axis_child`. They carry
-directions that change nothing (turning r about z and c back); the free directions listed by each type leave those out, so
-that they are as many as the type's parameters: 6 rigid, 7 prismatic, 9 revolute.
+with a unit `screw` in the axis frame: Trans_z for prismatic, R_z for revolute, none for rigid. The paper's
+parametrisations (18, 20, 22) are special cases: `o = T_parent_axis @ T_axis_child`, `r = T_parent_axis`, `c =
+T_axis_child`. They carry directions that change nothing (turning r about z and c back); the free directions listed by
+each type leave those out, so that they are as many as the type's parameters: 6 rigid, 7 prismatic, 9 revolute.
 """
 
 from __future__ import annotations
@@ -111,7 +111,7 @@ class JointType(ABC):
 
     @abstractmethod
     def axis_state_of_position(self, p_axis: FloatArray, zero_axis: FloatArray) -> FloatArray:
-        """(...,) state that brings the position `zero_axis` (..., 3) nearest `p_axis` (..., 3), both in the axis frame."""
+        """(...,) state that brings the position `zero_axis` (..., 3) nearest `p_axis` (..., 3), in the axis frame."""
 
     @abstractmethod
     def starts(self, T_parent_child: FloatArray, weights: FloatArray) -> tuple[JointFrames, ...]:

@@ -12,8 +12,9 @@ from station.logs import FloatArray
 class Prismatic(JointType):
     """fk(o, u; q) = T(q u) o: six parameters of o, two of u, less one for where zero is.
 
-    The state is u . (t_x - t_o). The paper's (21) takes the translation of x o^-1, which is the same for a pose on the joint's
-    manifold but lets an error of orientation, times the distance to the parent's origin, into the state of a noisy one.
+    The state is u . (t_x - t_o). The paper's (21) takes the translation of x o^-1, which is the same for a pose on
+    the joint's manifold but lets an error of orientation, times the distance to the parent's origin, into the state
+    of a noisy one.
     """
 
     name = "prismatic"

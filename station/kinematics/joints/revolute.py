@@ -6,13 +6,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from station.kinematics import se3
-from station.kinematics.joints.base import JointFrames, JointType, Z, mean_rotation, turned, weighted_mean, weighted_scatter
+from station.kinematics.joints.base import (
+    JointFrames,
+    JointType,
+    Z,
+    mean_rotation,
+    weighted_mean,
+    weighted_scatter,
+)
 from station.logs import FloatArray
 
 # Share of the scatter: below this a circle's normal equations, or the spread of the angles, tell nothing.
 SCATTER_FLOOR = 1e-12
-# A hinge this far off that turned by less than this is a straight slide, bent by the slide and by the tracker's systematic
-# errors: on eight real drawers tracked to 2 mm, hinges fit at 3.9 m and beyond with up to 6.8 deg; real doors at 0.3-0.6 m.
+# A hinge this far off that turned by less than this is a straight slide, bent by the slide and by the tracker's
+# systematic errors: on eight real drawers tracked to 2 mm, hinges fit at 3.9 m and beyond with up to 6.8 deg; real
+# doors at 0.3-0.6 m.
 FAR_HINGE_M = 1.5
 STRAIGHT_TURN_RAD = np.radians(8.0)
 
@@ -20,8 +28,9 @@ STRAIGHT_TURN_RAD = np.radians(8.0)
 class Revolute(JointType):
     """fk(c, r; q) = r R_z(q) c: twelve parameters, less a turn and a shift along z of r against c, and where zero is.
 
-    Algorithm 1 (lines 12-16) starts from the circumcentre of three positions. That is the axis position in the parent, so with
-    the order of (22) it starts r and not c, and it fails for a child on the axis; the starts here do not.
+    Algorithm 1 (lines 12-16) starts from the circumcentre of three positions. That is the axis position in the
+    parent, so with the order of (22) it starts r and not c, and it fails for a child on the axis; the starts here do
+    not.
     """
 
     name = "revolute"
@@ -107,7 +116,8 @@ def _turned_back(p: FloatArray, q: FloatArray) -> FloatArray:
 
 
 def _centre_by_turns(p: FloatArray, q: FloatArray, weights: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Centre and arm (..., 3) with p = centre + R_z(q) arm in the least squares sense; linear, also for an arm of zero length.
+    """Centre and arm (..., 3) with p = centre + R_z(q) arm in the least squares sense; linear, also for an arm of
+    zero length.
 
     In the plane, with complex numbers: z = a + exp(i q) b, a line fit. Along z all goes to the centre.
     """
@@ -125,8 +135,9 @@ def _centre_by_turns(p: FloatArray, q: FloatArray, weights: FloatArray) -> tuple
 def _fit_circle(p: FloatArray, weights: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Centre (..., 3) and radius (...,) of a circle through points (..., T, 3) seen along z; centre's z is the mean.
 
-    Hyper fit (Al-Sharadqah and Chernov, 2009), which has no bias to second order, so that short arcs keep their radius: the
-    algebraic circle A r^2 + B x + C y + D = 0 by a generalised eigenvector, here as a linear problem solved in closed form.
+    Hyper fit (Al-Sharadqah and Chernov, 2009), which has no bias to second order, so that short arcs keep their
+    radius: the algebraic circle A r^2 + B x + C y + D = 0 by a generalised eigenvector, here as a linear problem
+        solved in closed form.
     """
     mean = weighted_mean(p, weights)
     xy = (p - mean[..., None, :])[..., :2]
@@ -135,16 +146,17 @@ def _fit_circle(p: FloatArray, weights: FloatArray) -> tuple[FloatArray, FloatAr
     scale = np.sqrt(np.maximum((share * square).sum(axis=-1), SCATTER_FLOOR))
     xy, square = xy / scale[..., None, None], square / scale[..., None] ** 2
     rows = np.stack([square, xy[..., 0], xy[..., 1], np.ones_like(square)], axis=-1)
-    M = np.einsum("...t,...ti,...tj->...ij", share, rows, rows)
+    M: FloatArray = np.einsum("...t,...ti,...tj->...ij", share, rows, rows)
     N = np.zeros_like(M)
     N[..., 0, 0] = 8 * M[..., 0, 3]  # Hyper's constraint matrix, for points with zero mean
     N[..., 0, 3] = N[..., 3, 0] = 2.0
     N[..., 1, 1] = N[..., 2, 2] = 1.0
-    values, vectors = np.linalg.eig(np.linalg.solve(N, M))
-    values = np.where(values.real > -SCATTER_FLOOR, values.real, np.inf)  # the smallest that is not negative
-    best = np.argmin(values, axis=-1)
-    A, B, C, D = np.moveaxis(np.take_along_axis(vectors.real, best[..., None, None], axis=-1)[..., 0], -1, 0)
-    A = np.where(np.abs(A) > SCATTER_FLOOR, A, SCATTER_FLOOR)
+    # N a = (1 / eta) M a with the smallest eta > 0, made symmetric by M = L L^T: the last of the ascending eigenvalues.
+    root = np.linalg.inv(np.linalg.cholesky(M + SCATTER_FLOOR * np.eye(4)))
+    _, vectors = np.linalg.eigh(root @ N @ np.swapaxes(root, -1, -2))
+    algebraic = (np.swapaxes(root, -1, -2) @ vectors[..., -1:])[..., 0]
+    bend, B, C, D = (algebraic[..., i] for i in range(4))
+    A = np.where(np.abs(bend) > SCATTER_FLOOR, bend, SCATTER_FLOOR)
     x, y = -B / (2 * A), -C / (2 * A)
     radius = np.sqrt(np.maximum(x**2 + y**2 - D / A, 0.0))
     centre = mean + scale[..., None] * np.stack([x, y, 0 * x], axis=-1)

@@ -1,0 +1,214 @@
+"""From a log of poses to a kinematic tree and the states of its joints.
+
+1. every pair of parts: fit every joint type to their relative poses, score them (pairwise, selection);
+2. the minimum spanning tree over the scores (structure);
+3. parts that are rigid to each other become one body, told by all of them (subclusters, bodies); those that are rigid
+   to the log's reference frame stand still, and share one pose for all frames;
+4. again from 1 with bodies for parts, until no rigid joint is left;
+5. orient the joints from the root outward, fit all of a tree at once (whole_tree), read off axes and states
+(tree_reading).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from station.errors import InvalidData
+from station.fit.bodies import Group, bodies_of_log, fused_bodies, refined_mounts, scaled_by_part, with_reference
+from station.fit.comparison import MIN_FRAMES, PairTable, compare_pairs
+from station.fit.options import FitOptions
+from station.fit.reading import JointReading
+from station.fit.selection import check_criterion
+from station.fit.structure import components, outward, shallowest, spanning_forest
+from station.fit.subclusters import merged, singles
+from station.fit.tree_reading import REFERENCE, Structure, named_member, read_tree
+from station.kinematics.joints import JOINT_TYPES
+from station.kinematics.tree import Joint, KinematicTree
+from station.logs import FloatArray, JointLog, PoseLog
+
+IntArray = NDArray[np.intp]
+
+METHODS = ("station",)
+# An axis that is known no better than this [rad] is reported as not identifiable.
+UNCERTAIN_AXIS_RAD = np.radians(5.0)
+# Less travel than this [rad, m] is what makes an axis uncertain; with more it is the noise.
+SMALL_TRAVEL = {"rad": np.radians(15.0), "m": 0.05}
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """A learned tree, and its joints' states at the log's times; NaN where a joint wasn't seen or was an outlier."""
+
+    tree: KinematicTree
+    states: JointLog
+
+
+def learn(log: PoseLog, options: FitOptions | None = None) -> Fit:
+    """Learn the kinematic tree of the parts of a log.
+
+    Raises:
+        InvalidData: for options that don't exist, and for a log in which no two parts were seen together often enough.
+    """
+    options = FitOptions() if options is None else options
+    include = options.include_reference or len(log.parts) == 1
+    _check(log, options, include)
+    structure = _find_structure(log, options, include)
+    roots = _roots(structure, log, options, include)
+    return _assembled(log, options, structure, roots, include)
+
+
+def _check(log: PoseLog, options: FitOptions, include: bool) -> None:
+    if options.method not in METHODS:
+        raise InvalidData(f"method '{options.method}' is unknown; choose one of {', '.join(METHODS)}")
+    check_criterion(options.criterion)
+    unknown = [name for name in options.joint_types if name not in JOINT_TYPES]
+    if unknown or not options.joint_types:
+        raise InvalidData(f"joint types {options.joint_types}; want one or more of {', '.join(JOINT_TYPES)}")
+    names = (*log.parts, log.reference) if include else log.parts
+    if include and log.reference in log.parts:
+        raise InvalidData(f"a part has the reference frame's name '{log.reference}'; rename one")
+    if options.root is not None and options.root not in names:
+        raise InvalidData(f"no part '{options.root}' for a root; have {', '.join(names)}")
+    if not log.parts:
+        raise InvalidData("the log has no parts; want at least one")
+
+
+def _find_structure(log: PoseLog, options: FitOptions, include: bool) -> Structure:
+    parts = with_reference(bodies_of_log(log), log.reference)
+    groups, bodies = singles(len(parts.names)), parts
+    edges = np.zeros((0, 2), dtype=np.intp)
+    for level in range(len(parts.names)):  # bodies of one round are the parts of the next; each round merges some
+        table = compare_pairs(bodies, _all_pairs(len(bodies.names)), options.joint_types, options.criterion)
+        if level == 0 and not table.enough.any():
+            raise InvalidData(_too_few(log))
+        chosen = _forest(table, groups, include)
+        rigid = _rigid_edges(table, chosen)
+        edges = table.pairs[chosen]
+        if level > 0 and not rigid.size:
+            break
+        if level == 0:
+            parts = scaled_by_part(parts, _variances(table, chosen, len(parts.names)))
+        groups = merged(groups, table.pairs[rigid], table.T_a_b[rigid])
+        groups = tuple(refined_mounts(parts, group) for group in groups)
+        bodies = fused_bodies(parts, groups)
+    return Structure(parts, groups, bodies, edges)
+
+
+def _too_few(log: PoseLog) -> str:
+    seen = np.array(log.seen).sum(axis=0)
+    counts = ", ".join(f"{part} {n}" for part, n in zip(log.parts, seen, strict=True))
+    return f"no two parts were seen together in {MIN_FRAMES} frames or more; seen: {counts} of {len(log.t_s)} frames"
+
+
+def _all_pairs(count: int) -> IntArray:
+    return np.stack(np.triu_indices(count, k=1), axis=-1).astype(np.intp)
+
+
+def _forest(table: PairTable, groups: Sequence[Group], include: bool) -> IntArray:
+    """Edges of the spanning forest. Unless it is a part, the reference frame only holds together what stands still."""
+    weights = np.where(table.enough, table.scores.weight, np.inf)
+    if not include:
+        alone = np.array([group.members == (REFERENCE,) for group in groups])
+        weights = np.where(alone[table.pairs].any(axis=-1) & ~table.rigid, np.inf, weights)
+    return spanning_forest(len(groups), table.pairs, weights)
+
+
+def _rigid_edges(table: PairTable, chosen: IntArray) -> IntArray:
+    """The forest's rigid edges; first those that are so for sure, since fused bodies tell more about the others."""
+    rigid = chosen[table.rigid[chosen]]
+    surely = rigid[table.scores.surely_rigid[rigid]]
+    return surely if surely.size else rigid
+
+
+def _variances(table: PairTable, edges: IntArray, count: int) -> FloatArray:
+    """(K, S) noise variances of each part: the mean over its edges of the forest, or over all edges if it has none."""
+    if not edges.size:
+        edges = np.flatnonzero(table.enough)
+    scales, pairs = table.scales[edges], table.pairs[edges]
+    found = np.tile(scales.mean(axis=0), (count, 1))
+    for part in set(pairs.ravel().tolist()):
+        found[part] = scales[(pairs == part).any(axis=-1)].mean(axis=0)
+    return found
+
+
+def _roots(structure: Structure, log: PoseLog, options: FitOptions, include: bool) -> list[int]:
+    """Root body of each tree, the log's own root first; unless included, a reference that holds nothing is no tree."""
+    groups, edges = structure.groups, structure.edges
+    label = components(len(groups), edges)
+    trees = [[k for k in range(len(groups)) if label[k] == low] for low in sorted(set(label))]
+    alone = [k for k, group in enumerate(groups) if group.members == (REFERENCE,)]
+    trees = [tree for tree in trees if include or tree != alone]
+    wanted = None if options.root is None else structure.parts.names.index(options.root)
+    roots = [_root_of(tree, structure, wanted) for tree in trees]
+    size = [(_holds(groups[root], wanted), len(tree)) for root, tree in zip(roots, trees, strict=True)]
+    first = max(range(len(roots)), key=lambda i: (*size[i], -i))
+    return [roots[first], *(root for i, root in enumerate(roots) if i != first)]
+
+
+def _holds(group: Group, part: int | None) -> bool:
+    return part is not None and part in group.members
+
+
+def _root_of(tree: list[int], structure: Structure, wanted: int | None) -> int:
+    """The wanted body, else the one that stands still, else the one that makes the tree shallowest."""
+    for part in (wanted, REFERENCE):
+        for k in tree:
+            if _holds(structure.groups[k], part):
+                return k
+    return shallowest(tree, structure.edges)
+
+
+def _assembled(log: PoseLog, options: FitOptions, structure: Structure, roots: list[int], include: bool) -> Fit:
+    groups, names = structure.groups, structure.parts.names
+    body_name = [names[group.members[named_member(group, include=include)]] for group in groups]
+    read = [item for root in roots for item in read_tree(structure, root, options, include=include)]
+    joints = [r.joint(body_name[a], body_name[b], scores, i) for a, b, r, scores, i in read]
+    kept = [k for k, group in enumerate(groups) if include or group.members != (REFERENCE,)]
+    rigid = [tuple(names[i] for i in groups[k].members if include or i != REFERENCE) for k in kept]
+    trees = [[root, *(b for _, b, _ in outward(root, structure.edges))] for root in roots]
+    tree = KinematicTree(
+        root=body_name[roots[0]],
+        parts=names if include else names[1:],
+        rigid_groups=tuple(group for group in rigid if len(group) > 1),
+        trees=tuple(tuple(body_name[k] for k in tree) for tree in trees),
+        joints=tuple(joints),
+        method={"name": options.method, "criterion": options.criterion, "joint_types": list(options.joint_types)},
+        warnings=_warnings(log, joints, trees),
+    )
+    return Fit(tree, _states(log, joints, [reading for _, _, reading, _, _ in read]))
+
+
+def _states(log: PoseLog, joints: Sequence[Joint], readings: Sequence[JointReading]) -> JointLog:
+    shape = (len(log.t_s), 0)
+    q = np.stack([r.q for r in readings], axis=-1) if readings else np.zeros(shape)
+    std = np.stack([r.std for r in readings], axis=-1) if readings else np.zeros(shape)
+    units = tuple(JOINT_TYPES[joint.type].unit or "rad" for joint in joints)
+    return JointLog(log.t_s, tuple(joint.name for joint in joints), q, units, std)
+
+
+def _warnings(log: PoseLog, joints: Sequence[Joint], trees: Sequence[Sequence[int]]) -> tuple[str, ...]:
+    seen = np.array(log.seen).sum(axis=0)
+    found = [
+        f"{part} was seen in {n} of {len(log.t_s)} frames: too few to join it to anything (want {MIN_FRAMES})"
+        for part, n in zip(log.parts, seen, strict=True)
+        if n < MIN_FRAMES
+    ]
+    for joint in joints:
+        if joint.axis_std_rad is None or joint.axis_std_rad < UNCERTAIN_AXIS_RAD or joint.state_max is None:
+            continue
+        travel = joint.state_max - (joint.state_min or 0.0)
+        unit = JOINT_TYPES[joint.type].unit or "rad"
+        moved = f"{np.degrees(travel):.1f} deg" if unit == "rad" else f"{travel * 1e3:.1f} mm"
+        if travel < SMALL_TRAVEL[unit]:
+            found.append(f"{joint.name} moved only {moved}: its axis is not identifiable")
+        else:
+            found.append(f"{joint.name}: its axis is known to {np.degrees(joint.axis_std_rad):.0f} deg only")
+    if not joints:
+        found.append("no part moved against another: the tree has no joints")
+    elif len(trees) > 1:
+        found.append(f"nothing connects the {len(trees)} trees: their parts were not seen together, or move freely")
+    return tuple(found)
