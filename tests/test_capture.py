@@ -48,7 +48,7 @@ def test_each_step_of_the_packaged_motion_sets_its_own_speed(tmp_path: Path):
         capture = Capture(with_camera(rig, NoFrames(rig)), planned_demo, writer)
         capture.run()
     steps = [event for event in writer.events if event.startswith("INFO step")]
-    assert steps == [f"INFO step {number}" for number in range(1, 15)]
+    assert steps == [f"INFO step {number}" for number in range(1, 16)]
 
 
 def test_the_servos_speed_limit_shapes_the_steps(short: tuple[Path, CaptureCounts]):
