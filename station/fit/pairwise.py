@@ -21,6 +21,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from station.errors import InvalidData
 from station.fit.noise import Noise
 from station.kinematics import se3
 from station.kinematics.joints import JointFrames, JointType
@@ -318,7 +319,7 @@ def start_models(joint: JointType, tracks: PairTracks, *, by_pose: bool) -> Mode
         best = model if best is None else _choose(cost < best_cost, model, best)
         best_cost = np.fmin(cost, best_cost)
     if best is None:
-        raise NotImplementedError(f"joint type {joint.name} offers no start")
+        raise InvalidData(f"joint type {joint.name} offers no start for a fit")
     return best
 
 

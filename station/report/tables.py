@@ -96,7 +96,7 @@ def range_text(joint: Joint) -> str:
     if unit is None or joint.state_min is None or joint.state_max is None:
         return ""
     low, high = UNIT_SCALE[unit] * joint.state_min, UNIT_SCALE[unit] * joint.state_max
-    return f"{low:.0f} to {high:.0f} {UNIT_NAME[unit]}"
+    return f"{low:z.0f} to {high:z.0f} {UNIT_NAME[unit]}"
 
 
 def _errors(agreement: Agreement | None, unit: str) -> str:
