@@ -106,7 +106,7 @@ def run(
 def _run(rig: str, motion: str, out: Path, as_json: bool, **settings: Any) -> None:
     from station import commands
 
-    with _progress() as bar:
+    with _saying_what_is_left(out), _progress() as bar:
         comparison = commands.run(rig, motion, out, stage=bar.stage, progress=bar.update, **settings)
     _show_comparison(comparison, as_json)
     _next(
@@ -131,7 +131,7 @@ def capture(
     """Run a motion on a rig and record it into a session folder."""
     from station import commands
 
-    with _progress() as bar:
+    with _saying_what_is_left(out), _progress() as bar:
         bar.stage("capture")
         counts = commands.capture(
             rig, motion, out, seed=seed, simulate=simulate, realtime=realtime, force=force, progress=bar.update
@@ -291,10 +291,17 @@ class _Bar:
         self._task: Any = None
 
     def stage(self, name: str) -> None:
-        if self._task is not None:
-            total = self._progress.tasks[self._task].total
-            self._progress.update(self._task, total=total or 1, completed=total or 1)
+        self.finish()
         self._task = self._progress.add_task(name, total=None)
+
+    def finish(self) -> None:
+        if self._task is not None:
+            total = self._progress.tasks[self._task].total or 1
+            self._progress.update(self._task, total=total, completed=total)
+
+    def hide(self) -> None:
+        for task in self._progress.task_ids:
+            self._progress.update(task, visible=False)
 
     def update(self, done_s: float, total_s: float) -> None:
         self._progress.update(self._task, completed=done_s, total=total_s)
@@ -321,7 +328,24 @@ def _progress() -> Iterator[_Bar]:
         TimeRemainingColumn(),
     )
     with Progress(*columns, console=console, disable=not console.is_terminal) as progress:
-        yield _Bar(progress)
+        bar = _Bar(progress)
+        try:
+            yield bar
+        except BaseException:
+            bar.hide()
+            raise
+        bar.finish()
+
+
+@contextmanager
+def _saying_what_is_left(out: Path) -> Iterator[None]:
+    """After a signal, tell that the recording is whole, if there is one."""
+    try:
+        yield
+    except (KeyboardInterrupt, SystemExit):
+        if (out / "session.json").exists():
+            _next(f"stopped; what was recorded is in {out}, fit it with: station fit {out}")
+        raise
 
 
 def _fail(error: Exception, code: int) -> NoReturn:

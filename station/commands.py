@@ -105,7 +105,7 @@ def _plan(rig: RigFile, motion: str) -> tuple[Plan, str]:
     from station.rig import packaged, packaged_names
 
     path = packaged("motions", motion)
-    text = read_text(path, f"motion (packaged ones: {', '.join(packaged_names('motions'))}) at")
+    text = read_text(path, "motion", f"packaged ones are {', '.join(packaged_names('motions'))}")
     joints: tuple[JointLimits, ...] = rig.table.limits()
     return plan_motion(parse_motion(text, str(path), joints), joints), text
 

@@ -81,7 +81,7 @@ def packaged_names(kind: str) -> list[str]:
 def load_rig(name_or_path: str) -> RigFile:
     """Read a rig and its camera's calibration; raises InvalidFile."""
     path = packaged("rigs", name_or_path)
-    text = read_text(path, f"rig (packaged ones: {', '.join(packaged_names('rigs'))}) at")
+    text = read_text(path, "rig", f"packaged ones are {', '.join(packaged_names('rigs'))}")
     table = parse_rig(text, str(path))
     return RigFile(table, text, str(path), load_calibration(table, path.parent, str(path)))
 
