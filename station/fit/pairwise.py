@@ -430,10 +430,16 @@ def fit_joint(
     return refine(joint, tracks, start, iterations=iterations, tolerance=tolerance)
 
 
-def parameter_covariance(information: FloatArray) -> FloatArray:
-    """(..., n, n) inverse of a normal matrix; directions that were not observed change nothing, and get no variance."""
-    scale = np.sqrt(np.diagonal(information, axis1=-2, axis2=-1))
-    scale = np.where(scale > 0, scale, 1.0)
+def parameter_covariance(information: FloatArray, unreduced: FloatArray | None = None) -> FloatArray:
+    """(..., n, n) inverse of a normal matrix; directions that were not observed change nothing, and get no variance.
+
+    Args:
+        information: (..., n, n) with the states eliminated.
+        unreduced: (..., n) its diagonal before that; its own if None. A direction that only shifts the zero of the
+            states, as there is one where positions alone were measured, keeps a vanishing part of it.
+    """
+    diagonal = np.diagonal(information, axis1=-2, axis2=-1) if unreduced is None else unreduced
+    scale = np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
     values, vectors = np.linalg.eigh(information / (scale[..., :, None] * scale[..., None, :]))
     inverse = np.where(values > OBSERVED_ABOVE, 1 / np.maximum(values, OBSERVED_ABOVE), 0.0)
     scaled = vectors / scale[..., :, None]

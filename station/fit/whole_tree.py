@@ -41,7 +41,7 @@ DAMPING_START, DAMPING_FALL, DAMPING_RISE, DAMPING_MIN, DAMPING_MAX = 1e-6, 0.1,
 # Numbers in one chunk's whitened Jacobian, 8 bytes each.
 JACOBIAN_SIZE = 8_000_000
 # Relative; keeps a state that nothing observes where it is.
-UNOBSERVED = 1e-9
+UNOBSERVED = 1e-12
 # A pose that is less likely an inlier than this tells nothing; as a tiny weight it would only ruin the arithmetic.
 LEAST_INLIER = 1e-3
 
@@ -231,6 +231,7 @@ class _Reduced:
     """Normal equations of the parameters, and for each frame its states' step = own - coupling @ parameters' step."""
 
     H: FloatArray  # (n, n)
+    unreduced: FloatArray  # (n,) diagonal of H before the states were eliminated
     g: FloatArray  # (n,)
     own: FloatArray  # (T, s)
     coupling: FloatArray  # (T, s, n)
@@ -247,6 +248,7 @@ def _reduce(skeleton: Skeleton, model: TreeModel, measured: Measured, inlier: Fl
         pieces.append(_reduced_piece(skeleton, part, measured.take(some), inlier[some], damping))
     return _Reduced(
         np.sum([p.H for p in pieces], axis=0),
+        np.sum([p.unreduced for p in pieces], axis=0),
         np.sum([p.g for p in pieces], axis=0),
         np.concatenate([p.own for p in pieces]),
         np.concatenate([p.coupling for p in pieces]),
@@ -274,7 +276,8 @@ def _reduced_piece(
     own = -inverse @ (B_t @ r)
     A_free = (A - B @ coupling).reshape(-1, A.shape[-1])
     H = A_free.T @ A.reshape(-1, A.shape[-1])
-    return _Reduced(0.5 * (H + H.T), A_free.T @ r.reshape(-1), own[..., 0], coupling, inverse)
+    unreduced = np.sum(A.reshape(-1, A.shape[-1]) ** 2, axis=0)
+    return _Reduced(0.5 * (H + H.T), unreduced, A_free.T @ r.reshape(-1), own[..., 0], coupling, inverse)
 
 
 def _chi2(skeleton: Skeleton, model: TreeModel, measured: Measured) -> FloatArray:
@@ -322,7 +325,7 @@ def _finished(skeleton: Skeleton, model: TreeModel, measured: Measured, chi2: Fl
     observed = np.sum(inlier.max(axis=1, initial=0.0))
     freedoms = np.sum(inlier * measured.dimensions) - skeleton.parameters - skeleton.states * observed
     scale = float(np.sum(inlier * chi2) / freedoms) if freedoms > 0 else 1.0
-    covariance = parameter_covariance(reduced.H) * scale
+    covariance = parameter_covariance(reduced.H, reduced.unreduced) * scale
     shared = np.einsum("tsn,nm,tsm->ts", reduced.coupling, covariance, reduced.coupling, optimize=True)
     own = np.diagonal(reduced.state_covariance, axis1=-2, axis2=-1) * scale
     return TreeFit(model, covariance, np.sqrt(own + shared)[:, : len(skeleton.joints)], inlier, scale)

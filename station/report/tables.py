@@ -126,7 +126,7 @@ def gain_text(agreement: Agreement | None) -> str:
 def three_digits(value: float) -> str:
     """Three digits or so: 0.31, 12.3, 159."""
     size = abs(value)
-    return f"{value:.2f}" if size < 9.995 else f"{value:.1f}" if size < 99.95 else f"{value:.0f}"
+    return f"{value:z.2f}" if size < 9.995 else f"{value:.1f}" if size < 99.95 else f"{value:.0f}"
 
 
 def shortened(text: str, width: int) -> str:

@@ -279,3 +279,22 @@ def test_too_few_frames_are_refused_with_counts() -> None:
 def test_options_that_do_not_exist_are_refused_with_the_choices(options: FitOptions, message: str) -> None:
     with pytest.raises(InvalidData, match=message):
         learn(chain(np.random.default_rng(59), moves=False), options)
+
+
+@pytest.mark.parametrize("kind", ["hinge", "drawer"])
+def test_states_of_positions_alone_are_as_far_off_as_they_say(kind: str):
+    """Where no orientation is measured the states' zero is a choice: no part of their deviation."""
+    rng = np.random.default_rng(5)
+    truth = np.linspace(0.0, 1.2 if kind == "hinge" else 0.4, 150)
+    around = np.stack([0.4 * np.cos(truth), 0.4 * np.sin(truth), np.full_like(truth, 0.7)], axis=-1)
+    along = np.array([0.3, -0.2, 1.0]) + truth[:, None] * np.array([0.6, 0.0, 0.8])
+    T = se3.translation((around if kind == "hinge" else along) + 0.002 * rng.normal(size=(150, 3)))
+    covariance = np.zeros((150, 1, 6, 6))
+    covariance[:, :, range(3), range(3)] = np.nan
+    covariance[:, :, range(3, 6), range(3, 6)] = np.inf
+    fit = learn(PoseLog(np.arange(150.0), "world", ("door",), T[:, None], covariance))
+    assert fit.tree.joints[0].type == ("revolute" if kind == "hinge" else "prismatic")
+    assert fit.states.std is not None
+    error = fit.states.q[:, 0] * np.sign(fit.states.q[-1, 0]) - truth
+    error -= np.mean(error)
+    assert 0.7 < np.sqrt(np.mean((error / fit.states.std[:, 0]) ** 2)) < 1.3
