@@ -76,6 +76,11 @@ def test_each_command_has_help(station):
         assert code == 0 and "Usage: station" in text
 
 
+def test_the_version_is_told_without_a_command(station):
+    code, out, _ = station("--version")
+    assert code == 0 and re.fullmatch(r"station \d+\.\d+\.\d+\n", out)
+
+
 def test_help_loads_none_of_the_heavy_libraries():
     code = (
         "import sys; sys.argv = ['station', '--help']\n"

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.special import expit
 
 from station.errors import InvalidData
-from station.fit.noise import LEAST_ESTIMATED_SCALE, LEAST_GIVEN_SCALE, given_noise, unknown_noise
+from station.fit.noise import INLIER_ABOVE, LEAST_ESTIMATED_SCALE, LEAST_GIVEN_SCALE, given_noise, unknown_noise
 from station.fit.pairwise import OUTLIER_SHARE_START, ROTATION_VOLUME, PairTracks
 from station.kinematics import se3
 from station.logs import FloatArray, PoseLog
@@ -27,7 +27,6 @@ LEAST_SCENE_M = 0.1
 FUSE_ITERATIONS = 6
 # Relative to the largest entry: rounding in whatever made the covariance.
 SYMMETRIC_WITHIN = 1e-6
-INLIER_ABOVE = 0.5
 MOUNT_ROUNDS = 4
 
 

@@ -26,6 +26,10 @@ ROUNDING = 1e-6
 LEAST_GIVEN_SCALE = 1.0
 # Estimated covariances err to both sides; this only keeps an exact fit from dividing by zero.
 LEAST_ESTIMATED_SCALE = 1e-4
+# Probability of being no outlier above which a frame counts as an inlier.
+INLIER_ABOVE = 0.5
+# Correlations below this many of their own standard deviations are taken for none.
+LOST_CORRELATION = 2.0
 # Degrees of freedom below which a scale keeps its value: nothing measures it.
 LEAST_FREEDOMS = 1e-3
 
@@ -164,6 +168,31 @@ def _median(values: FloatArray, seen: BoolArray) -> FloatArray:
     middle = np.maximum(seen.sum(axis=-1) - 1, 0) // 2
     found = np.take_along_axis(ordered, middle[:, None], axis=-1)[:, 0]
     return np.where(np.isfinite(found), found, 1.0)
+
+
+def time_of_correlation(whitened: FloatArray, good: BoolArray, dimensions: FloatArray) -> FloatArray:
+    """(P,) frames that tell as much as one would if errors were independent from frame to frame; at least 1.
+
+    tau = 1 + 2 sum_k rho_k over the lags until the correlation rho_k of the residuals is lost in its own noise.
+    Trackers' errors change slowly with the view, so neighbouring frames repeat them.
+
+    Args:
+        whitened: (P, T, D) residuals.
+        good: (P, T) frames that count.
+        dimensions: (P,) numbers measured in a frame.
+    """
+    r = np.where(good[..., None], whitened, 0.0)
+    frames = r.shape[1]
+    length = 2 * frames  # zeros after the end: the transform is periodic
+    power = np.sum(np.abs(np.fft.rfft(r, length, axis=1)) ** 2, axis=-1)
+    products = np.fft.irfft(power, length, axis=1)[:, :frames]
+    both = np.abs(np.fft.rfft(good.astype(np.float64), length, axis=1)) ** 2
+    count = np.maximum(np.fft.irfft(both, length, axis=1)[:, :frames], 1.0)
+    mean = products / count
+    rho = np.asarray(mean / np.maximum(mean[:, :1], np.finfo(float).tiny), dtype=np.float64)
+    lost = rho < LOST_CORRELATION / np.sqrt(np.maximum(count * dimensions[:, None], 1.0))
+    before: BoolArray = np.cumsum(lost, axis=-1) == 0
+    return 1 + 2 * np.sum(np.where(before, rho, 0.0)[:, 1:], axis=-1)
 
 
 def relative_covariance(T_a_b: FloatArray, covariance_a: FloatArray, covariance_b: FloatArray) -> FloatArray:

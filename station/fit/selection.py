@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from station.errors import InvalidData
+from station.fit.noise import INLIER_ABOVE, time_of_correlation
 from station.fit.pairwise import JointFit, PairTracks
 from station.logs import FloatArray
 
@@ -31,9 +32,6 @@ BoolArray = NDArray[np.bool_]
 # like it.
 WOBBLE = 1.0
 SPREAD_ROUNDS = 8
-INLIER_ABOVE = 0.5
-# Correlations below this many of their own standard deviations are taken for none.
-LOST_CORRELATION = 2.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,12 +167,7 @@ def _at_least(scores: Mapping[str, FloatArray], values: Mapping[str, FloatArray]
 
 
 def correlation_time(fits: Mapping[str, JointFit], tracks: PairTracks, totals: Mapping[str, FloatArray]) -> FloatArray:
-    """(P,) frames that tell as much as one would if errors were independent from frame to frame; at least 1.
-
-    tau = 1 + 2 sum_k rho_k over the lags until the correlation rho_k of the likeliest type's whitened residuals is
-    lost in its own noise. Trackers' errors change slowly with the view; taken for independent they make any type
-    certain.
-    """
+    """(P,) `time_of_correlation` of each pair's likeliest type; taken for independent errors make any type certain."""
     names = list(fits)
     best = np.argmin(np.stack([totals[name] for name in names]), axis=0)
     time = np.ones(len(best))
@@ -187,18 +180,8 @@ def correlation_time(fits: Mapping[str, JointFit], tracks: PairTracks, totals: M
 
 def _correlation_time(fit: JointFit, tracks: PairTracks) -> FloatArray:
     whitener, _ = tracks.noise.whitener(fit.model.scales, tracks.seen, tracks.oriented)
-    r = (whitener @ fit.residual[..., None])[..., 0] * (fit.inlier > INLIER_ABOVE)[..., None]
-    length = 2 * r.shape[1]  # zeros after the end: the transform is periodic
-    power = np.sum(np.abs(np.fft.rfft(r, length, axis=1)) ** 2, axis=-1)
-    products = np.fft.irfft(power, length, axis=1)[:, : r.shape[1]]
-    both = np.abs(np.fft.rfft((fit.inlier > INLIER_ABOVE).astype(np.float64), length, axis=1)) ** 2
-    count = np.maximum(np.fft.irfft(both, length, axis=1)[:, : r.shape[1]], 1.0)
-    mean = products / count
-    rho = np.asarray(mean / np.maximum(mean[:, :1], np.finfo(float).tiny), dtype=np.float64)
-    numbers = np.maximum(count * tracks.dimensions.max(axis=-1, keepdims=True), 1.0)
-    lost = rho < LOST_CORRELATION / np.sqrt(numbers)
-    window = np.cumsum(lost, axis=-1) == 0
-    return 1 + 2 * np.sum(np.where(window, rho, 0.0)[:, 1:], axis=-1)
+    r = (whitener @ fit.residual[..., None])[..., 0]
+    return time_of_correlation(r, fit.inlier > INLIER_ABOVE, tracks.dimensions.max(axis=-1))
 
 
 def _counted(price: Callable[[FloatArray, FloatArray], FloatArray]) -> Callable[[JointFit, PairTracks], FloatArray]:

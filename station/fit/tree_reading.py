@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from station.fit.bodies import Bodies, Group
 from station.fit.comparison import fit_pairs
+from station.fit.noise import INLIER_ABOVE
 from station.fit.options import FitOptions
 from station.fit.pairwise import JointFit, residuals
 from station.fit.reading import JointReading
@@ -23,7 +24,6 @@ BoolArray = NDArray[np.bool_]
 IntArray = NDArray[np.intp]
 
 REFERENCE = 0  # the log's reference frame is the first of all parts while fitting
-INLIER_ABOVE = 0.5
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from scipy.special import expit
 
 from station.fit.bodies import Bodies
-from station.fit.noise import Noise
+from station.fit.noise import INLIER_ABOVE, Noise, time_of_correlation
 from station.fit.pairwise import (
     OUTLIER_SHARE_START,
     ROTATION_VOLUME,
@@ -145,7 +145,8 @@ class TreeFit:
         covariance: (n, n) of the parameters, in the order of `Skeleton`'s columns.
         state_std: (T, J).
         inlier: (T, K) probability that a part's pose is one; 0 unseen.
-        scale: variance of whitened residuals, 1 if the covariances are right; it is in the deviations already.
+        scale: variance of whitened residuals, 1 if the covariances are right; it is in the deviations already, and in
+            those of the parameters so is the number of frames that repeat an error.
     """
 
     model: TreeModel
@@ -319,13 +320,24 @@ def _solve(H: FloatArray, g: FloatArray, damping: float) -> FloatArray:
     return np.linalg.solve(scaled, g / scale) / scale
 
 
+def _repeats(skeleton: Skeleton, model: TreeModel, measured: Measured, inlier: FloatArray) -> float:
+    """Frames in which an error repeats itself: what is shared by all frames is known so much less; at least 1."""
+    e = residuals(measured.T_ref_part, part_poses(skeleton, model))
+    whitened = np.swapaxes((measured.whitener @ e[..., None])[..., 0], 0, 1)
+    good = inlier.T > INLIER_ABOVE
+    frames = good.sum(axis=-1)
+    times = time_of_correlation(whitened, good, measured.dimensions.max(axis=0))
+    return float(np.sum(frames * times) / max(np.sum(frames), 1))
+
+
 def _finished(skeleton: Skeleton, model: TreeModel, measured: Measured, chi2: FloatArray) -> TreeFit:
     inlier = _inlier(measured, chi2)
     reduced = _reduce(skeleton, model, measured, inlier, 0.0)
     observed = np.sum(inlier.max(axis=1, initial=0.0))
     freedoms = np.sum(inlier * measured.dimensions) - skeleton.parameters - skeleton.states * observed
     scale = float(np.sum(inlier * chi2) / freedoms) if freedoms > 0 else 1.0
-    covariance = parameter_covariance(reduced.H, reduced.unreduced) * scale
+    repeats = _repeats(skeleton, model, measured, inlier)
+    covariance = parameter_covariance(reduced.H, reduced.unreduced) * scale * repeats
     shared = np.einsum("tsn,nm,tsm->ts", reduced.coupling, covariance, reduced.coupling, optimize=True)
     own = np.diagonal(reduced.state_covariance, axis1=-2, axis2=-1) * scale
     return TreeFit(model, covariance, np.sqrt(own + shared)[:, : len(skeleton.joints)], inlier, scale)

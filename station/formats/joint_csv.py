@@ -36,7 +36,7 @@ def format_joint_states(log: JointLog) -> str:
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")
     writer.writerow(header)
-    rows = np.concatenate(columns, axis=1).tolist()
+    rows = (np.concatenate(columns, axis=1) + 0.0).tolist()  # -0.0 + 0.0 is 0.0
     writer.writerows([repr(x) if math.isfinite(x) else "" for x in row] for row in rows)
     return out.getvalue()
 

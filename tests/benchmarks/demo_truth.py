@@ -56,7 +56,8 @@ def main() -> None:
     rig = load_rig("demo")
     assert rig.table.simulation is not None
     stage = Stage(rig.table, rig.table.simulation, rig.camera_model, seed)
-    print(f"{'joint':9}  {'RMSE [deg]':>10}  {'median':>10}  {'std':>10}  {'in 2 std':>8}  axis [deg]  point [mm]")
+    print(f"{'':9}  {'angle [deg], after the offset':^44}  {'axis [deg]':^15}  {'point [mm]':^15}")
+    print(f"{'joint':9}  {'RMSE':>10}  {'median':>10}  {'std':>10}  {'% in 2 std':>8}" + "    error      std" * 2)
     for j, name in enumerate(JOINTS):
         assert states.std is not None
         truth = np.interp(states.t_s + start_s, t_true_s, q_true[:, j])
@@ -68,7 +69,9 @@ def main() -> None:
         point = T_part_body[:3, :3] @ drawn.point_parent_m + T_part_body[:3, 3]
         off = joint.point_parent_m - point
         turn = np.degrees(np.arctan2(np.linalg.norm(np.cross(axis, joint.axis_parent)), abs(axis @ joint.axis_parent)))
-        print(f"{name:9}  {row}  {turn:10.3f}  {1e3 * np.linalg.norm(off - axis * (off @ axis)):10.3f}")
+        far = 1e3 * np.linalg.norm(off - axis * (off @ axis))
+        axis_std, point_std = np.degrees(joint.axis_std_rad), 1e3 * joint.point_std_m
+        print(f"{name:9}  {row}    {turn:7.4f}  {axis_std:7.4f}  {far:7.4f}  {point_std:7.4f}")
 
 
 if __name__ == "__main__":
