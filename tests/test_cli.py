@@ -23,6 +23,8 @@ from station.recording import Recording
 from station.session import read_status
 from tests.sessions import SHORT, capture_short, write_motion
 
+# Bytes of a recording that holds frames for certain.
+SOME_FRAMES = 300_000
 COMMANDS = ("demo", "run", "capture", "fit", "compare", "report", "view", "plan")
 
 
@@ -232,10 +234,10 @@ def test_a_signal_ends_the_capture_with_the_recording_whole(tmp_path: Path, sent
     process = subprocess.Popen(
         [sys.executable, "-c", program, *arguments], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
     )
+    recording_file = out / "recording.rrd"
     deadline = time.monotonic() + 60
-    while not (out / "recording.rrd").exists() and time.monotonic() < deadline:
+    while time.monotonic() < deadline and not (recording_file.exists() and recording_file.stat().st_size > SOME_FRAMES):
         time.sleep(0.05)
-    time.sleep(1.5)
     os.kill(process.pid, sent)
     _, err = process.communicate(timeout=60)
     assert process.returncode == code, err
