@@ -4,7 +4,7 @@ import pytest
 from station.errors import InvalidData
 from station.kinematics import se3
 from station.logs import FloatArray, PoseLog
-from station.perception.smoothing import smooth
+from station.smoothing import smooth
 
 FPS = 30.0
 CUTOFF_HZ = 3.0
