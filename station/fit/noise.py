@@ -30,6 +30,8 @@ LEAST_ESTIMATED_SCALE = 1e-4
 INLIER_ABOVE = 0.5
 # Correlations below this many of their own standard deviations are taken for none.
 LOST_CORRELATION = 2.0
+# Relative eigenvalue below which states are not told apart by what was measured (a ball's spin by its position).
+RANK_ABOVE = 1e-9
 # Degrees of freedom below which a scale keeps its value: nothing measures it.
 LEAST_FREEDOMS = 1e-3
 
@@ -117,29 +119,30 @@ class Noise:
         scales: FloatArray,
         whitener: FloatArray,
         whitened: FloatArray,
-        by_state: FloatArray,
+        by_states: FloatArray,
+        state_information: FloatArray,
         weights: FloatArray,
         parameters: int,
     ) -> FloatArray:
         """One multiplicative step (P, S) to the restricted likelihood's maximum.
 
         scale_s <- scale_s sum(w r^T M_s r) / sum(w tr(Q M_s)), with M_s = W S_s W^T, Q the projector that takes the
-        state's
-        direction out, and r = Q W e; the parameters take their share of the degrees of freedom. With two scales the
+        states'
+        directions out, and r = Q W e; the parameters take their share of the degrees of freedom. With two scales the
         shapes add up to the identity, scale_0 M_0 + scale_1 M_1 = I, and M_0 needs the first three columns of W only.
 
         Args:
             scales: (P, S).
             whitener: (P, T, 6, 6) at these scales.
             whitened: (P, T, 6) W e.
-            by_state: (P, T, 6) whitened derivative by the state; zero without one.
+            by_states: (P, T, 6, s) whitened derivative by the states.
+            state_information: (P, T, s, s) its Gram matrix.
             weights: (P, T).
             parameters: number of parameters of the joint.
         """
-        length = np.linalg.norm(by_state, axis=-1, keepdims=True)
-        unit = by_state / np.where(length > 0, length, 1.0)
-        r = whitened - unit * np.sum(unit * whitened, axis=-1, keepdims=True)
-        measured = (whitener[..., range(6), range(6)] > 0).sum(axis=-1) - (length[..., 0] > 0)
+        unit = _orthonormal(by_states, state_information)
+        r = whitened - (unit @ (np.swapaxes(unit, -1, -2) @ whitened[..., None]))[..., 0]
+        measured = (whitener[..., range(6), range(6)] > 0).sum(axis=-1) - np.sum(unit**2, axis=(-2, -1))
         square = (weights * np.sum(r**2, axis=-1)).sum(axis=-1)
         freedoms = np.maximum((weights * measured).sum(axis=-1), 1.0)
         left = np.maximum(1 - parameters / freedoms, 1 / freedoms)
@@ -148,12 +151,23 @@ class Noise:
         columns = np.swapaxes(whitener[..., :3], -1, -2)
         ours = self.position * scales[:, 0]  # the share of position errors in numerator and denominator
         square_0 = ours * (weights * np.sum((columns @ r[..., None]) ** 2, axis=(-2, -1))).sum(axis=-1)
-        trace = np.sum(columns**2, axis=(-2, -1)) - np.sum((columns @ unit[..., None]) ** 2, axis=(-2, -1))
+        trace = np.sum(columns**2, axis=(-2, -1)) - np.sum((columns @ unit) ** 2, axis=(-2, -1))
         freedoms_0 = ours * (weights * trace).sum(axis=-1)
         factors = np.stack(
             [_ratio(square_0, freedoms_0, left), _ratio(square - square_0, freedoms - freedoms_0, left)], -1
         )
         return np.maximum(scales * factors, self.least)
+
+
+def _orthonormal(B: FloatArray, gram: FloatArray) -> FloatArray:
+    """(..., 6, s) orthonormal columns that span those of B (..., 6, s); zero columns where they span less."""
+    if B.shape[-1] == 0:
+        return B
+    if B.shape[-1] == 1:
+        return B / np.sqrt(np.where(gram > 0, gram, 1.0))
+    values, vectors = np.linalg.eigh(gram)
+    told = values > RANK_ABOVE * values[..., -1:]
+    return B @ (vectors * np.where(told, 1 / np.sqrt(np.where(told, values, 1.0)), 0.0)[..., None, :])
 
 
 def _ratio(square: FloatArray, freedoms: FloatArray, left: FloatArray) -> FloatArray:

@@ -85,7 +85,7 @@ class PairTracks:
 
 @dataclass(frozen=True, eq=False)
 class Model:
-    """P joints of one type: frames (P, 4, 4), states q (P, T), noise scales (P, S), share of outliers (P,)."""
+    """P joints of one type: frames (P, ...), states q (P, T, s), noise scales (P, S), share of outliers (P,)."""
 
     frames: JointFrames
     q: FloatArray
@@ -94,8 +94,7 @@ class Model:
 
     def take(self, pairs: NDArray[np.intp] | BoolArray) -> Model:
         """The models of some of the pairs."""
-        frames = JointFrames(self.frames.T_parent_axis[pairs], self.frames.T_axis_child[pairs])
-        return Model(frames, self.q[pairs], self.scales[pairs], self.outlier_share[pairs])
+        return Model(self.frames.take(pairs), self.q[pairs], self.scales[pairs], self.outlier_share[pairs])
 
     @staticmethod
     def joined(models: Sequence[Model]) -> Model:
@@ -103,6 +102,7 @@ class Model:
         frames = JointFrames(
             np.concatenate([m.frames.T_parent_axis for m in models]),
             np.concatenate([m.frames.T_axis_child for m in models]),
+            np.concatenate([m.frames.form for m in models]),
         )
         q, scales = np.concatenate([m.q for m in models]), np.concatenate([m.scales for m in models])
         return Model(frames, q, scales, np.concatenate([m.outlier_share for m in models]))
@@ -118,10 +118,10 @@ class JointFit:
         inlier: (P, T) probability that a frame is an inlier; 0 unseen.
         chi2: (P, T) whitened squared residual at the best state.
         log_density: (P, T) log of the inliers' Gaussian density at zero residual.
-        state_information: (P, T) 1 / variance of the state given the parameters [1/unit^2]; 0 for rigid.
+        state_information: (P, T, s, s) inverse covariance of the states given the parameters [1/unit^2].
         residual: (P, T, 6) [m, rad] measured against model.
         information: (P, n, n) normal matrix of the parameters, states projected out.
-        coupling: (P, T, n) change of a frame's best state with the parameters.
+        coupling: (P, T, s, n) change of a frame's best states with the parameters.
     """
 
     joint: JointType
@@ -150,7 +150,7 @@ class JointFit:
 
     def _mapped(self, change: Callable[[FloatArray], FloatArray]) -> JointFit:
         m = self.model
-        frames = JointFrames(change(m.frames.T_parent_axis), change(m.frames.T_axis_child))
+        frames = JointFrames(change(m.frames.T_parent_axis), change(m.frames.T_axis_child), change(m.frames.form))
         model = Model(frames, change(m.q), change(m.scales), change(m.outlier_share))
         arrays = (self.inlier, self.chi2, self.log_density, self.state_information, self.residual)
         rest = [change(array) for array in (*arrays, self.information, self.coupling)]
@@ -159,7 +159,7 @@ class JointFit:
 
 def model_poses(joint: JointType, model: Model) -> tuple[FloatArray, FloatArray]:
     """T_axis_child(q_t) and T_parent_child(q_t), (P, T, 4, 4)."""
-    T_axis_child = joint.axis_motion(model.q) @ model.frames.T_axis_child[:, None]
+    T_axis_child = joint.axis_motion(model.q, model.frames.form[:, None]) @ model.frames.T_axis_child[:, None]
     return T_axis_child, model.frames.T_parent_axis[:, None] @ T_axis_child
 
 
@@ -183,26 +183,35 @@ def residual_jacobian(residual: FloatArray) -> FloatArray:
 
 
 def joint_jacobians(joint: JointType, model: Model, T_axis_child: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Right perturbation of the model pose by the parameters (P, T, 6, n) and by the state (P, 6).
+    """Right perturbation of the model pose by the parameters (P, T, 6, n) and by the states (P, 6, s).
 
-    With T = F M(q) C:  F exp(xi) gives Ad((M C)^-1) xi;  exp(xi) C gives Ad(C^-1) xi;  dq gives Ad(C^-1) screw dq.
+    With T = F M(q) C:  F exp(xi) gives Ad((M C)^-1) xi;  exp(xi) C gives Ad(C^-1) xi;  M exp(xi) gives Ad(C^-1) xi.
     """
+    split, end = len(joint.axis_freedoms), len(joint.axis_freedoms) + len(joint.child_freedoms)
     by_child = se3.adjoint(se3.inverse(model.frames.T_axis_child))
-    by_parameters = np.empty((*T_axis_child.shape[:2], 6, len(joint.axis_freedoms) + len(joint.child_freedoms)))
-    if joint.axis_freedoms:
-        by_axis = se3.adjoint(se3.inverse(T_axis_child))
-        by_parameters[..., : len(joint.axis_freedoms)] = by_axis[..., list(joint.axis_freedoms)]
-    by_parameters[..., len(joint.axis_freedoms) :] = by_child[:, None][..., list(joint.child_freedoms)]
-    return by_parameters, by_child @ np.array(joint.screw)
+    by_parameters = np.empty((*T_axis_child.shape[:2], 6, end + joint.form_freedoms))
+    if split:
+        by_parameters[..., :split] = se3.adjoint(se3.inverse(T_axis_child))[..., list(joint.axis_freedoms)]
+    by_parameters[..., split:end] = by_child[:, None][..., list(joint.child_freedoms)]
+    if joint.form_freedoms:
+        by_parameters[..., end:] = by_child[:, None] @ joint.form_twists(model.q, model.frames.form[:, None])
+    return by_parameters, by_child @ joint.state_twists(model.frames.form)
 
 
 def stepped(joint: JointType, model: Model, step: FloatArray, dq: FloatArray) -> Model:
-    """The model moved by parameter steps (P, n) and state steps (P, T)."""
-    xi_axis, xi_child = np.zeros((len(step), 6)), np.zeros((len(step), 6))
-    xi_axis[:, list(joint.axis_freedoms)] = step[:, : len(joint.axis_freedoms)]
-    xi_child[:, list(joint.child_freedoms)] = step[:, len(joint.axis_freedoms) :]
-    frames = JointFrames(model.frames.T_parent_axis @ se3.exp(xi_axis), se3.exp(xi_child) @ model.frames.T_axis_child)
-    return replace(model, frames=frames, q=model.q + dq)
+    """The model moved by parameter steps (P, n) and state steps (P, T, s)."""
+    return replace(model, frames=stepped_frames(joint, model.frames, step), q=joint.moved(model.q, dq))
+
+
+def stepped_frames(joint: JointType, frames: JointFrames, step: FloatArray) -> JointFrames:
+    """Frames moved by parameter steps (..., n): those of T_parent_axis, of T_axis_child, of the form."""
+    split, end = len(joint.axis_freedoms), len(joint.axis_freedoms) + len(joint.child_freedoms)
+    xi_axis, xi_child = np.zeros((*step.shape[:-1], 6)), np.zeros((*step.shape[:-1], 6))
+    xi_axis[..., list(joint.axis_freedoms)] = step[..., :split]
+    xi_child[..., list(joint.child_freedoms)] = step[..., split:end]
+    return JointFrames(
+        frames.T_parent_axis @ se3.exp(xi_axis), se3.exp(xi_child) @ frames.T_axis_child, frames.form + step[..., end:]
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -211,25 +220,37 @@ class _Linear:
 
     residual: FloatArray  # (P, T, 6)
     whitened: FloatArray  # (P, T, 6)
-    by_parameters: FloatArray  # (P, T, 6, n) whitened, orthogonal to by_state
-    by_state: FloatArray  # (P, T, 6) whitened
-    coupling: FloatArray  # (P, T, n)
-    state_information: FloatArray  # (P, T)
+    by_parameters: FloatArray  # (P, T, 6, n) whitened, orthogonal to by_states
+    by_states: FloatArray  # (P, T, 6, s) whitened
+    own: FloatArray  # (P, T, s) best change of the states at these parameters
+    coupling: FloatArray  # (P, T, s, n)
+    state_information: FloatArray  # (P, T, s, s)
 
 
 def _linearise(joint: JointType, tracks: PairTracks, model: Model, whitener: FloatArray) -> _Linear:
     T_axis_child, T_model = model_poses(joint, model)
     e = residuals(tracks.T_a_b, T_model)
     WK = whitener @ residual_jacobian(e)
-    by_parameters, by_state = joint_jacobians(joint, model, T_axis_child)
-    by_all = WK @ by_parameters
-    b = (WK @ by_state[:, None, :, None])[..., 0]
-    information = np.einsum("pti,pti->pt", b, b)
-    safe = np.where(information > 0, information, 1.0)
-    coupling = -(b[..., None, :] @ by_all)[..., 0, :] / safe[..., None]
-    A = by_all + b[..., None] * coupling[..., None, :]
+    by_parameters, by_states = joint_jacobians(joint, model, T_axis_child)
+    A, B = WK @ by_parameters, WK @ by_states[:, None]
     r = (whitener @ e[..., None])[..., 0]
-    return _Linear(e, r, A, b, coupling, information)
+    B_t = np.swapaxes(B, -1, -2)
+    information = B_t @ B
+    solution = -small_inverse(information) @ B_t
+    coupling = solution @ A
+    return _Linear(e, r, A + B @ coupling, B, (solution @ r[..., None])[..., 0], coupling, information)
+
+
+def small_inverse(S: FloatArray) -> FloatArray:
+    """(..., s, s) inverse of symmetric S (..., s, s), s small; zero along directions that were not observed."""
+    if S.shape[-1] == 0:
+        return S
+    if S.shape[-1] == 1:
+        return np.where(S > 0, 1 / np.where(S > 0, S, 1.0), 0.0)
+    values, vectors = np.linalg.eigh(S)
+    observed = values > OBSERVED_ABOVE * values[..., -1:]
+    inverse = np.where(observed, 1 / np.where(observed, values, 1.0), 0.0)
+    return (vectors * inverse[..., None, :]) @ np.swapaxes(vectors, -1, -2)
 
 
 def _whitened(tracks: PairTracks, joint: JointType, model: Model, whitener: FloatArray) -> FloatArray:
@@ -253,15 +274,13 @@ def _cost(tracks: PairTracks, model: Model, chi2: FloatArray, log_density: Float
 
 
 def _damped_step(linear: _Linear, weights: FloatArray, damping: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """LM step (P, n) and (P, T): columns scaled to unit length, so that one damping suits metres and radians."""
+    """LM step (P, n) and (P, T, s): columns scaled to unit length, so that one damping suits metres and radians."""
     H, g = _normal_equations(linear, weights)
     scale = np.sqrt(np.diagonal(H, axis1=-2, axis2=-1))
     scale = np.where(scale > 0, scale, 1.0)
     scaled = H / (scale[:, :, None] * scale[:, None, :]) + damping[:, None, None] * np.eye(H.shape[-1])
     step = -np.linalg.solve(scaled, (g / scale)[..., None])[..., 0] / scale
-    safe = np.where(linear.state_information > 0, linear.state_information, 1.0)
-    dq = -np.einsum("pti,pti->pt", linear.by_state, linear.whitened) / safe
-    return step, dq + np.einsum("ptn,pn->pt", linear.coupling, step)
+    return step, linear.own + np.einsum("ptsn,pn->pts", linear.coupling, step)
 
 
 def _normal_equations(linear: _Linear, weights: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -273,14 +292,14 @@ def _normal_equations(linear: _Linear, weights: FloatArray) -> tuple[FloatArray,
 
 
 def best_states(joint: JointType, frames: JointFrames, tracks: PairTracks) -> FloatArray:
-    """(P, T) closed-form states of the measured poses; by position where there is no orientation."""
+    """(P, T, s) closed-form states of the measured poses; by position where there is no orientation."""
     M = se3.inverse(frames.T_parent_axis)[:, None] @ tracks.T_a_b
-    zero = frames.T_axis_child[:, None]
-    by_pose = joint.axis_state(M, zero)
+    zero, form = frames.T_axis_child[:, None], frames.form[:, None]
+    by_pose = joint.axis_state(M, zero, form)
     if tracks.oriented.all():
         return by_pose
-    by_position = joint.axis_state_of_position(M[..., :3, 3], zero[..., :3, 3])
-    return np.where(tracks.oriented, by_pose, by_position)
+    by_position = joint.axis_state_of_position(M[..., :3, 3], zero[..., :3, 3], form)
+    return np.where(tracks.oriented[..., None], by_pose, by_position)
 
 
 def _start_weights(tracks: PairTracks, joint: JointType, frames: JointFrames) -> tuple[FloatArray, FloatArray]:
@@ -329,10 +348,11 @@ def _choose(first: BoolArray, a: Model, b: Model) -> Model:
     frames = JointFrames(
         np.where(wide, a.frames.T_parent_axis, b.frames.T_parent_axis),
         np.where(wide, a.frames.T_axis_child, b.frames.T_axis_child),
+        np.where(first[:, None], a.frames.form, b.frames.form),
     )
     tall = first[:, None]
     share = np.where(first, a.outlier_share, b.outlier_share)
-    return Model(frames, np.where(tall, a.q, b.q), np.where(tall, a.scales, b.scales), share)
+    return Model(frames, np.where(wide, a.q, b.q), np.where(tall, a.scales, b.scales), share)
 
 
 def _updated_noise(
@@ -340,7 +360,13 @@ def _updated_noise(
 ) -> Model:
     """One round of the noise scales' restricted likelihood, and the outlier share's posterior mean."""
     scales = tracks.noise.updated_scales(
-        model.scales, whitener, linear.whitened, linear.by_state, inlier, linear.by_parameters.shape[-1]
+        model.scales,
+        whitener,
+        linear.whitened,
+        linear.by_states,
+        linear.state_information,
+        inlier,
+        linear.by_parameters.shape[-1],
     )
     seen = tracks.seen.sum(axis=-1)
     outliers = seen - inlier.sum(axis=-1)
@@ -410,7 +436,7 @@ def _finished(
         inlier,
         chi2,
         log_density,
-        linear.state_information * tracks.seen,
+        linear.state_information * tracks.seen[..., None, None],
         linear.residual,
         information,
         linear.coupling,

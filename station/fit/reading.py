@@ -56,7 +56,7 @@ class JointReading:
                 turn = np.kron(np.eye(2), FLIP[:3, :3])
                 covariance = turn @ covariance @ turn.T
         along = frames.T_axis_child[2, 3]
-        if any(self.type.screw[3:]):
+        if self.type.has_axis and self.type.has_point:
             frames = _nearest_point(frames)
             moved = se3.adjoint(se3.translation(np.array([0.0, 0.0, -along])))
             covariance = moved @ covariance @ moved.T
@@ -76,6 +76,7 @@ class JointReading:
             axis_parent=geometry.axis_parent,
             point_parent_m=geometry.point_parent_m,
             T_parent_child_zero=geometry.T_parent_child_zero,
+            pitch_m_per_rad=geometry.pitch_m_per_rad,
             state_min=float(known.min()) if known.size else None,
             state_max=float(known.max()) if known.size else None,
             scores={"criterion": scores.criterion, **{name: float(s[pair]) for name, s in scores.by_type.items()}},
@@ -102,17 +103,17 @@ def with_sign_and_zero(
     net = q[last] - q[first]
     if abs(net) < NET_MOTION * (high - low):
         net = (high - q[first]) - (q[first] - low)
-    T_axis_child = joint.axis_motion(q[first]) @ frames.T_axis_child
+    T_axis_child = joint.axis_motion(q[first, None], frames.form) @ frames.T_axis_child
     q = q - q[first]
     if net >= 0:
-        return JointFrames(frames.T_parent_axis, T_axis_child), q, False
-    return JointFrames(frames.T_parent_axis @ FLIP, FLIP @ T_axis_child), -q, True
+        return JointFrames(frames.T_parent_axis, T_axis_child, frames.form), q, False
+    return JointFrames(frames.T_parent_axis @ FLIP, FLIP @ T_axis_child, frames.form), -q, True
 
 
 def _nearest_point(frames: JointFrames) -> JointFrames:
     """Origin of the axis frame moved along the axis to the child."""
     along = se3.translation(np.array([0.0, 0.0, frames.T_axis_child[2, 3]]))
-    return JointFrames(frames.T_parent_axis @ along, se3.inverse(along) @ frames.T_axis_child)
+    return JointFrames(frames.T_parent_axis @ along, se3.inverse(along) @ frames.T_axis_child, frames.form)
 
 
 def _rms(residual: FloatArray, good: BoolArray) -> float | None:

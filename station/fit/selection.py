@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from station.errors import InvalidData
 from station.fit.noise import INLIER_ABOVE, time_of_correlation
-from station.fit.pairwise import JointFit, PairTracks
+from station.fit.pairwise import JointFit, PairTracks, small_inverse
 from station.logs import FloatArray
 
 BoolArray = NDArray[np.bool_]
@@ -62,31 +62,79 @@ class Scores:
 
 
 def continuous_states(fit: JointFit, *, inlier_above: float = 0.5) -> FloatArray:
-    """(P, T) states without jumps of 2 pi from inlier to inlier; other frames take the branch of the one before."""
+    """(P, T, s) states without jumps of a full turn from inlier to inlier; other frames take the branch of the one
+    before.
+    """
     q = fit.model.q
-    if fit.joint.unit != "rad":
-        return q
     good = fit.inlier > inlier_above
     count = np.cumsum(good, axis=-1)  # good frames so far; before the first, the first
     order = np.argsort(~good, axis=-1, kind="stable")
-    last = np.take_along_axis(order, np.maximum(count - 1, 0), axis=-1)
-    smooth = np.unwrap(np.take_along_axis(q, last, axis=-1), axis=-1)
-    return smooth + np.arctan2(np.sin(q - smooth), np.cos(q - smooth))
+    last = np.take_along_axis(order, np.maximum(count - 1, 0), axis=-1)[..., None]
+    smooth = fit.joint.continuous(np.take_along_axis(q, last, axis=-2))
+    return np.where(good[..., None], smooth, fit.joint.nearest_turn(q, smooth))
 
 
-def _spread(q: FloatArray, variance: FloatArray, weights: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Mean and variance tau^2 (P,) of states q (P, T) beyond their own variance (P, T), by scoring the likelihood."""
-    total = np.maximum(weights.sum(axis=-1), 1.0)
-    mean = (weights * q).sum(axis=-1) / total
-    tau2 = np.maximum((weights * ((q - mean[:, None]) ** 2 - variance)).sum(axis=-1) / total, 0.0)
+@dataclass(frozen=True, eq=False)
+class Spread:
+    """Gaussian spread of states over the frames: mean (P, s), covariance (P, s, s)."""
+
+    mean: FloatArray
+    covariance: FloatArray
+
+    @property
+    def travel(self) -> FloatArray:
+        """(P,) range of a uniform motion with the covariance's largest deviation."""
+        return np.sqrt(12 * np.linalg.eigvalsh(self.covariance)[..., -1])
+
+
+def spread_of(q: FloatArray, information: FloatArray, weights: FloatArray) -> Spread:
+    """Maximum likelihood spread of states q (P, T, s) beyond their own noise.
+
+    q_t ~ N(mean, C + Lambda_t^-1), by scoring started from the moments; Lambda_t may be singular.
+
+    Args:
+        q: (P, T, s).
+        information: (P, T, s, s) Lambda.
+        weights: (P, T).
+    """
+    total = np.maximum(weights.sum(axis=-1), 1.0)[:, None]
+    mean = np.einsum("pt,pti->pi", weights, q) / total
+    d = q - mean[:, None]
+    variance = small_inverse(information)
+    spread = _positive(
+        np.einsum("pt,ptij->pij", weights, d[..., :, None] * d[..., None, :] - variance) / total[..., None]
+    )
     for _ in range(SPREAD_ROUNDS):  # each round weighs by the last spread
-        precision = weights / (variance + tau2[:, None])
-        mean = (precision * q).sum(axis=-1) / np.maximum(precision.sum(axis=-1), np.finfo(float).tiny)
-        excess = (q - mean[:, None]) ** 2 - variance
-        information = precision / (variance + tau2[:, None])
-        tau2 = (information * excess).sum(axis=-1) / np.maximum(information.sum(axis=-1), np.finfo(float).tiny)
-        tau2 = np.maximum(tau2, 0.0)
-    return mean, tau2
+        G = _shrunk(spread, information)  # precision of a frame about the mean, (C + Lambda^-1)^-1
+        wG = weights[..., None, None] * G
+        mean = (small_inverse(wG.sum(axis=1)) @ (wG @ q[..., None]).sum(axis=1))[..., 0]
+        u = (G @ (q - mean[:, None])[..., None])[..., 0]
+        change = np.einsum("pt,ptij->pij", weights, u[..., :, None] * u[..., None, :] - G)
+        spread = _scored(spread, change, wG.sum(axis=1), np.einsum("ptij,ptji->p", wG, G), total[..., None])
+    return Spread(mean, spread)
+
+
+def _shrunk(C: FloatArray, information: FloatArray) -> FloatArray:
+    """(P, T, s, s) (C + Lambda^-1)^-1 of C (P, s, s) and Lambda (P, T, s, s), which may be singular."""
+    if information.shape[-1] == 1:
+        return information / (1 + C[:, None] * information)
+    return np.asarray(np.linalg.solve(np.eye(C.shape[-1]) + information @ C[:, None], information), dtype=np.float64)
+
+
+def _scored(C: FloatArray, change: FloatArray, G: FloatArray, square: FloatArray, total: FloatArray) -> FloatArray:
+    """One step of scoring: C + inverse(G) change inverse(G), by sums over frames, no longer than a Newton step."""
+    mean = G / total
+    size = np.einsum("pij,pji->p", mean, mean) / np.maximum(square / total[:, 0, 0], np.finfo(float).tiny)
+    inverse = small_inverse(mean)
+    return _positive(C + np.minimum(size, 1.0)[:, None, None] * (inverse @ (change / total) @ inverse))
+
+
+def _positive(C: FloatArray) -> FloatArray:
+    """The nearest positive semidefinite matrix to symmetric C (P, s, s)."""
+    if C.shape[-1] <= 1:
+        return np.maximum(C, 0.0)
+    values, vectors = np.linalg.eigh(0.5 * (C + np.swapaxes(C, -1, -2)))
+    return (vectors * np.maximum(values, 0.0)[..., None, :]) @ np.swapaxes(vectors, -1, -2)
 
 
 def _total(fit: JointFit, tracks: PairTracks, log_inside: FloatArray) -> FloatArray:
@@ -119,23 +167,36 @@ class _Integrated:
 def _integrated(fit: JointFit, tracks: PairTracks) -> _Integrated:
     profile = fit.log_density - 0.5 * fit.chi2
     parameters = _parameters(fit, tracks)
-    if not fit.joint.states:
+    s = fit.joint.states
+    if not s:
         total = _total(fit, tracks, profile)
         return _Integrated(total, total, parameters, np.zeros(len(total)))
-    known = fit.state_information > 0
-    variance = np.where(known, 1 / np.where(known, fit.state_information, 1.0), 1.0)
-    q = continuous_states(fit)
-    mean, tau2 = _spread(q, variance, fit.inlier)
-    weight = fit.inlier / np.maximum(fit.inlier.sum(axis=-1, keepdims=True), 1.0)
-    typical = 1 / np.maximum((weight / variance).sum(axis=-1), np.finfo(float).tiny)
+    q, information = continuous_states(fit), fit.state_information
+    spread = spread_of(q, information, fit.inlier)
+    d = q - spread.mean[:, None]
 
-    def marginal(spread: FloatArray) -> FloatArray:
-        both = variance + spread[:, None]
-        return profile + 0.5 * np.log(variance / both) - 0.5 * (q - mean[:, None]) ** 2 / both
+    def marginal(C: FloatArray) -> FloatArray:
+        G = _shrunk(C, information)
+        chi2 = np.einsum("pti,ptij,ptj->pt", d, G, d)
+        return profile - 0.5 * _log_det(np.eye(s) + information @ C[:, None]) - 0.5 * chi2
 
-    moving = _total(fit, tracks, marginal(tau2))
-    wobbling = _total(fit, tracks, marginal(np.minimum(tau2, WOBBLE**2 * typical)))
-    return _Integrated(moving, wobbling, parameters + 2.0 * fit.joint.states, np.sqrt(12 * tau2))
+    moving = _total(fit, tracks, marginal(spread.covariance))
+    wobbling = _total(fit, tracks, marginal(_wobble(spread.covariance, information, fit.inlier)))
+    return _Integrated(moving, wobbling, parameters + s + 0.5 * s * (s + 1), spread.travel)
+
+
+def _log_det(S: FloatArray) -> FloatArray:
+    return np.log(S[..., 0, 0]) if S.shape[-1] == 1 else np.linalg.slogdet(S)[1]
+
+
+def _wobble(C: FloatArray, information: FloatArray, weights: FloatArray) -> FloatArray:
+    """(P, s, s) spread C, along each of its principal directions at most `WOBBLE` of the states' usual noise."""
+    total = np.maximum(weights.sum(axis=-1), 1.0)[:, None, None]
+    mean = np.einsum("pt,ptij->pij", weights, information) / total
+    values, vectors = np.linalg.eigh(C)
+    typical = np.einsum("pji,pjk,pki->pi", vectors, mean, vectors)
+    most = WOBBLE**2 / np.maximum(typical, np.finfo(float).tiny)
+    return (vectors * np.minimum(values, most)[:, None, :]) @ np.swapaxes(vectors, -1, -2)
 
 
 def _evidence(fits: Mapping[str, JointFit], tracks: PairTracks) -> Scores:

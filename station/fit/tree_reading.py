@@ -104,10 +104,10 @@ def _skeleton(structure: Structure, start: _Start, *, root_moves: bool) -> tuple
 
 def _first_model(structure: Structure, start: _Start, parts: list[int], skeleton: Skeleton) -> TreeModel:
     T = len(structure.bodies.seen)
-    frames = tuple(
-        JointFrames(fit.model.frames.T_parent_axis[0], fit.model.frames.T_axis_child[0]) for fit in start.fits
+    frames = tuple(fit.model.frames.take(0) for fit in start.fits)
+    q = np.stack(
+        [_filled(continuous_states(fit)[0, :, 0], fit.inlier[0] > INLIER_ABOVE) for fit in start.fits], axis=-1
     )
-    q = np.stack([_filled(continuous_states(fit)[0], fit.inlier[0] > INLIER_ABOVE) for fit in start.fits], axis=-1)
     of_part = {part: group.mounts[i] for group in structure.groups for i, part in enumerate(group.members)}
     mounts = np.stack([of_part[part] for part in parts])
     model = TreeModel(se3.identity(T), frames, q, mounts)
@@ -156,9 +156,10 @@ def _reading(
         to_axis[list(kind.axis_freedoms), columns[:split]] = 1.0
     else:  # T_child_parent = C^-1 exp(-q screw) F^-1
         to_axis[list(kind.child_freedoms), columns[split:]] = -1.0
-        frames, along_q = JointFrames(se3.inverse(inner.T_axis_child), se3.inverse(inner.T_parent_axis)), -along_q
+        frames = JointFrames(se3.inverse(inner.T_axis_child), se3.inverse(inner.T_parent_axis), inner.form)
+        along_q = -along_q
     offset_a, offset_b = (_naming_mount(structure, k, parts, fit, include=include) for k in outer)
-    frames = JointFrames(se3.inverse(offset_a) @ frames.T_parent_axis, frames.T_axis_child @ offset_b)
+    frames = JointFrames(se3.inverse(offset_a) @ frames.T_parent_axis, frames.T_axis_child @ offset_b, frames.form)
     naming = structure.groups[a].members[named_member(structure.groups[a], include=include)]
     if naming in parts and skeleton.free_mount[parts.index(naming)]:
         to_axis[:, skeleton.mount_columns(parts.index(naming))] -= se3.adjoint(se3.inverse(frames.T_parent_axis))
@@ -205,4 +206,6 @@ def _relative_residual(
 ) -> FloatArray:
     """(T, 6) of the fused relative pose of two bodies' naming parts against the joint."""
     T_a, T_b = (structure.bodies.T_ref_body[:, k] @ offset for k, offset in zip(outer, offsets, strict=True))
-    return residuals(se3.inverse(T_a) @ T_b, frames.T_parent_axis @ kind.axis_motion(q) @ frames.T_axis_child)
+    return residuals(
+        se3.inverse(T_a) @ T_b, frames.T_parent_axis @ kind.axis_motion(q[:, None], frames.form) @ frames.T_axis_child
+    )

@@ -27,6 +27,7 @@ from station.fit.pairwise import (
     parameter_covariance,
     residual_jacobian,
     residuals,
+    stepped_frames,
 )
 from station.kinematics import se3
 from station.kinematics.joints import JointFrames, JointType
@@ -161,7 +162,7 @@ def body_poses(skeleton: Skeleton, model: TreeModel) -> list[FloatArray]:
     poses = {0: model.T_ref_root}
     for j, (parent, child, kind) in enumerate(skeleton.joints):  # parents come first
         f = model.frames[j]
-        poses[child] = poses[parent] @ f.T_parent_axis @ kind.axis_motion(model.q[:, j]) @ f.T_axis_child
+        poses[child] = poses[parent] @ f.T_parent_axis @ kind.axis_motion(model.q[:, j, None], f.form) @ f.T_axis_child
     return [poses[body] for body in range(len(poses))]
 
 
@@ -201,11 +202,11 @@ def _joint_twists(skeleton: Skeleton, model: TreeModel, j: int, bodies: Sequence
     frames = model.frames[j]
     of_axis = se3.adjoint(bodies[child] @ se3.inverse(frames.T_axis_child))  # the axis frame, moved
     of_origin = se3.adjoint(
-        bodies[child] @ se3.inverse(kind.axis_motion(model.q[:, j]) @ frames.T_axis_child)
+        bodies[child] @ se3.inverse(kind.axis_motion(model.q[:, j, None], frames.form) @ frames.T_axis_child)
     )  # the axis frame, before the motion
     by_axis = of_origin[..., list(kind.axis_freedoms)]
     return np.concatenate(
-        [by_axis, of_axis[..., list(kind.child_freedoms)], (of_axis @ np.array(kind.screw))[..., None]], axis=-1
+        [by_axis, of_axis[..., list(kind.child_freedoms)], of_axis @ kind.state_twists(frames.form)], axis=-1
     )
 
 
@@ -213,12 +214,7 @@ def stepped(skeleton: Skeleton, model: TreeModel, step: FloatArray, dstates: Flo
     """The model moved by parameters (n,) and states (T, s)."""
     frames: list[JointFrames] = []
     for j, (_, _, kind) in enumerate(skeleton.joints):
-        delta = step[skeleton.joint_columns(j)]
-        xi_axis, xi_child = np.zeros(6), np.zeros(6)
-        xi_axis[list(kind.axis_freedoms)] = delta[: len(kind.axis_freedoms)]
-        xi_child[list(kind.child_freedoms)] = delta[len(kind.axis_freedoms) :]
-        f = model.frames[j]
-        frames.append(JointFrames(f.T_parent_axis @ se3.exp(xi_axis), se3.exp(xi_child) @ f.T_axis_child))
+        frames.append(stepped_frames(kind, model.frames[j], step[skeleton.joint_columns(j)]))
     mounts = model.mounts.copy()
     for k in np.flatnonzero(skeleton.free_mount):
         mounts[k] = mounts[k] @ se3.exp(step[skeleton.mount_columns(int(k))])

@@ -95,7 +95,7 @@ class Joint:
     @property
     def geometry(self) -> JointGeometry:
         """Where the joint is, in the parent's frame."""
-        return JointGeometry(self.axis_parent, self.point_parent_m, self.T_parent_child_zero)
+        return JointGeometry(self.axis_parent, self.point_parent_m, self.T_parent_child_zero, self.pitch_m_per_rad)
 
     def forward(self, q: ArrayLike) -> FloatArray:
         """T_parent_child (..., 4, 4) at states q (...,) in rad or m; a rigid joint ignores them but for their shape."""
@@ -321,15 +321,19 @@ def _check_ends(joint: Joint) -> None:
 
 def _check_geometry(joint: Joint) -> None:
     kind, what = joint.kind, f"joint '{joint.name}' ({joint.type})"
-    needs = {"axis_parent": kind.states > 0, "point_parent_m": any(kind.screw[3:])}
+    needs = {"axis_parent": kind.has_axis, "point_parent_m": kind.has_point}
     for name, needed in needs.items():
         value: FloatArray | None = getattr(joint, name)
         if (value is not None) != needed:
             raise InvalidData(f"{what}: {name} is {'missing' if needed else 'given'}; the type {_needs(needed)}")
         if value is not None and (value.shape != (3,) or not np.all(np.isfinite(value))):
             raise InvalidData(f"{what}: {name} is {value.tolist()}; want three finite numbers")
-    if joint.pitch_m_per_rad is not None:
-        raise InvalidData(f"{what}: pitch_m_per_rad is given; the type has none")
+    needs_pitch = kind.form_freedoms > 0
+    if (joint.pitch_m_per_rad is not None) != needs_pitch:
+        given = "missing" if needs_pitch else "given"
+        raise InvalidData(f"{what}: pitch_m_per_rad is {given}; the type {_needs(needs_pitch)}")
+    if joint.pitch_m_per_rad is not None and not np.isfinite(joint.pitch_m_per_rad):
+        raise InvalidData(f"{what}: pitch_m_per_rad is {joint.pitch_m_per_rad}; want a finite number")
     if not _is_rigid_motion(joint.T_parent_child_zero):
         raise InvalidData(
             f"{what}: T_parent_child_zero is no rigid motion; want a (4, 4) pose whose rotation is one within "

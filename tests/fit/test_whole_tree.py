@@ -22,7 +22,7 @@ def example(*, root_moves: bool) -> tuple[Skeleton, TreeModel]:
         root_moves=root_moves,
     )
     root = se3.exp(rng.normal(size=(FRAMES, 6))) if root_moves else se3.identity(FRAMES)
-    frames = tuple(JointFrames(se3.exp(rng.normal(size=6)), se3.exp(rng.normal(size=6))) for _ in skeleton.joints)
+    frames = tuple(JointFrames.plain(se3.exp(rng.normal(size=6)), se3.exp(rng.normal(size=6))) for _ in skeleton.joints)
     return skeleton, TreeModel(root, frames, rng.normal(size=(FRAMES, 3)), se3.exp(rng.normal(size=(7, 6))))
 
 

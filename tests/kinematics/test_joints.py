@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.linalg import expm
@@ -15,20 +17,37 @@ TYPES = pytest.mark.parametrize("joint", JOINT_TYPES.values(), ids=JOINT_TYPES)
 MOVABLE = pytest.mark.parametrize("joint", [j for j in JOINT_TYPES.values() if j.states], ids=lambda j: j.name)
 
 
-def random_frames(rng: np.random.Generator, *batch: int) -> JointFrames:
-    return JointFrames(se3.exp(0.7 * rng.normal(size=(*batch, 6))), se3.exp(0.7 * rng.normal(size=(*batch, 6))))
+def random_frames(joint: JointType, rng: np.random.Generator, *batch: int) -> JointFrames:
+    poses = (se3.exp(0.7 * rng.normal(size=(*batch, 6))) for _ in range(2))
+    return JointFrames(*poses, 0.1 * rng.normal(size=(*batch, joint.form_freedoms)))
 
 
 def forward(joint: JointType, frames: JointFrames, q: np.ndarray) -> np.ndarray:
-    return frames.T_parent_axis[..., None, :, :] @ joint.axis_motion(q) @ frames.T_axis_child[..., None, :, :]
+    M = joint.axis_motion(q, frames.form[..., None, :])
+    return frames.T_parent_axis[..., None, :, :] @ M @ frames.T_axis_child[..., None, :, :]
 
 
 @TYPES
-def test_the_motion_is_the_exponential_of_its_screw(joint: JointType) -> None:
+def test_the_state_s_twists_are_what_a_change_of_state_does(joint: JointType) -> None:
+    rng, step = np.random.default_rng(0), 1e-6
+    q, form = rng.uniform(-2, 2, (7, joint.states)), 0.1 * rng.normal(size=joint.form_freedoms)
+    M = joint.axis_motion(q, form)
+    for i, twist in enumerate(joint.state_twists(form).T):
+        moved = joint.axis_motion(joint.moved(q, step * np.eye(joint.states)[i]), form)
+        np.testing.assert_allclose(se3.log(se3.inverse(M) @ moved) / step, np.tile(twist, (7, 1)), atol=1e-8)
+    for i, twists in enumerate(np.moveaxis(joint.form_twists(q, form), -1, 0)):
+        moved = joint.axis_motion(q, form + step * np.eye(joint.form_freedoms)[i])
+        np.testing.assert_allclose(se3.log(se3.inverse(M) @ moved) / step, twists, atol=1e-8)
+
+
+@TYPES
+def test_a_motion_with_one_state_is_the_exponential_of_its_twist(joint: JointType) -> None:
     for q in (-2.0, -1e-9, 0.0, 0.4, 3.0):
+        xi = joint.state_twists(np.full(joint.form_freedoms, 0.05)) @ np.full(joint.states, q)
         twist = np.zeros((4, 4))
-        twist[:3, :3], twist[:3, 3] = se3.hat3(joint.screw[3:]), joint.screw[:3]
-        np.testing.assert_allclose(joint.axis_motion(np.array(q)), expm(q * twist), atol=1e-14)
+        twist[:3, :3], twist[:3, 3] = se3.hat3(xi[3:]), xi[:3]
+        M = joint.axis_motion(np.full(joint.states, q), np.full(joint.form_freedoms, 0.05))
+        np.testing.assert_allclose(M, expm(twist), atol=1e-14)
 
 
 @TYPES
@@ -36,44 +55,59 @@ def test_free_directions_are_as_many_as_parameters_and_move_the_pose_independent
     joint: JointType,
 ) -> None:
     rng = np.random.default_rng(1)
-    frames, q = random_frames(rng), rng.uniform(-1, 1, 8) * (joint.states > 0)
+    frames, q = random_frames(joint, rng), rng.uniform(-1, 1, (8, joint.states))
     T = forward(joint, frames, q)
     columns, step = [], 1e-6
+
+    def column(moved: JointFrames, moved_q: np.ndarray) -> None:
+        columns.append(se3.log(se3.inverse(T) @ forward(joint, moved, moved_q)).ravel() / step)
+
     for axis in joint.axis_freedoms:
-        moved = JointFrames(frames.T_parent_axis @ se3.exp(step * np.eye(6)[axis]), frames.T_axis_child)
-        columns.append(se3.log(se3.inverse(T) @ forward(joint, moved, q)).ravel() / step)
+        column(replace(frames, T_parent_axis=frames.T_parent_axis @ se3.exp(step * np.eye(6)[axis])), q)
     for axis in joint.child_freedoms:
-        moved = JointFrames(frames.T_parent_axis, se3.exp(step * np.eye(6)[axis]) @ frames.T_axis_child)
-        columns.append(se3.log(se3.inverse(T) @ forward(joint, moved, q)).ravel() / step)
-    for t in range(len(q) * (joint.states > 0)):
-        moved_q = q + step * np.eye(len(q))[t]
-        columns.append(se3.log(se3.inverse(T) @ forward(joint, frames, moved_q)).ravel() / step)
-    assert len(joint.axis_freedoms) + len(joint.child_freedoms) == joint.parameters
+        column(replace(frames, T_axis_child=se3.exp(step * np.eye(6)[axis]) @ frames.T_axis_child), q)
+    for i in range(joint.form_freedoms):
+        column(replace(frames, form=frames.form + step * np.eye(joint.form_freedoms)[i]), q)
+    for t, i in np.ndindex(q.shape):
+        dq = np.zeros_like(q)
+        dq[t, i] = step
+        column(frames, joint.moved(q, dq))
+    assert len(joint.axis_freedoms) + len(joint.child_freedoms) + joint.form_freedoms == joint.parameters
     # A direction that the states could take over would lower the rank by one.
     assert np.linalg.matrix_rank(np.stack(columns), tol=1e-3) == len(columns)
+
+
+def states_of(joint: JointType, rng: np.random.Generator, size: float, count: int) -> np.ndarray:
+    """States as `forward` takes them."""
+    q = rng.uniform(-size, size, (count, max(joint.states, 1)))
+    return q if joint.states > 1 else q[:, 0] * joint.states
 
 
 @TYPES
 def test_inverse_undoes_forward(joint: JointType) -> None:
     rng = np.random.default_rng(2)
-    geometry = joint.geometry(random_frames(rng))
-    q = rng.uniform(-3, 3, 50) * (joint.states > 0)
+    geometry = joint.geometry(random_frames(joint, rng))
+    q = states_of(joint, rng, 3 / np.sqrt(max(joint.states, 1)), 50)
     np.testing.assert_allclose(joint.inverse(geometry, joint.forward(geometry, q)), q, atol=1e-13)
 
 
 @TYPES
 def test_geometry_and_frames_tell_the_same_motion(joint: JointType) -> None:
     rng = np.random.default_rng(3)
-    frames, q = random_frames(rng), rng.uniform(-1, 1, 9)
-    np.testing.assert_allclose(joint.forward(joint.geometry(frames), q), forward(joint, frames, q), atol=1e-13)
+    frames = joint.frames(joint.geometry(random_frames(joint, rng)))
+    q = rng.uniform(-1, 1, (9, joint.states))
+    public = q if joint.states > 1 else q.sum(axis=-1)
+    np.testing.assert_allclose(joint.forward(joint.geometry(frames), public), forward(joint, frames, q), atol=1e-13)
 
 
 @TYPES
 def test_motion_leaves_the_zero_pose_where_it_is_and_nan_gives_nan(joint: JointType) -> None:
-    geometry = joint.geometry(random_frames(np.random.default_rng(4)))
-    np.testing.assert_allclose(joint.forward(geometry, np.array(0.0)), geometry.T_parent_child_zero, atol=1e-14)
+    geometry = joint.geometry(random_frames(joint, np.random.default_rng(4)))
+    zero = np.zeros(joint.states if joint.states > 1 else ())
+    np.testing.assert_allclose(joint.forward(geometry, zero), geometry.T_parent_child_zero, atol=1e-14)
     if joint.states:
-        assert np.all(np.isnan(joint.axis_motion(np.array([np.nan]))))
+        unknown = joint.axis_motion(np.full((1, joint.states), np.nan), np.zeros(joint.form_freedoms))
+        assert np.all(np.isnan(unknown))
 
 
 def test_a_revolute_joint_turns_points_about_its_axis_by_the_right_hand() -> None:
@@ -93,21 +127,22 @@ def test_a_prismatic_joint_goes_along_its_axis_and_does_not_turn() -> None:
 @pytest.mark.parametrize("by_pose", [True, False])
 def test_a_start_of_exact_data_is_the_joint_itself(joint: JointType, by_pose: bool) -> None:
     rng = np.random.default_rng(5)
-    frames, q = random_frames(rng, 6), rng.uniform(-0.6, 0.6, (6, 40))
+    frames, q = random_frames(joint, rng, 6), rng.uniform(-0.6, 0.6, (6, 40, joint.states))
     T, weights = forward(joint, frames, q), np.ones((6, 40))
     starts = joint.starts(T, weights) if by_pose else joint.position_starts(T[..., :3, 3], weights)
     for start in starts:
         M = se3.inverse(start.T_parent_axis)[:, None] @ T
-        zero = start.T_axis_child[:, None]
-        found = joint.axis_state(M, zero) if by_pose else joint.axis_state_of_position(M[..., :3, 3], zero[..., :3, 3])
+        zero, form = start.T_axis_child[:, None], start.form[:, None]
+        by_position = joint.axis_state_of_position(M[..., :3, 3], zero[..., :3, 3], form)
+        found = joint.axis_state(M, zero, form) if by_pose else by_position
         error = forward(joint, start, found)[..., :3, 3] - T[..., :3, 3]
         assert np.abs(error).max() < 1e-5  # m: the regularised circle fit's own rounding
 
 
 def test_a_revolute_start_needs_no_radius() -> None:
     revolute, rng = JOINT_TYPES["revolute"], np.random.default_rng(6)
-    frames = JointFrames(se3.exp(rng.normal(size=6)), se3.pose(se3.exp_so3(rng.normal(size=3)), np.zeros(3)))
-    T = forward(revolute, frames, rng.uniform(-0.5, 0.5, 30))
+    frames = JointFrames.plain(se3.exp(rng.normal(size=6)), se3.pose(se3.exp_so3(rng.normal(size=3)), np.zeros(3)))
+    T = forward(revolute, frames, rng.uniform(-0.5, 0.5, (30, 1)))
     start = revolute.starts(T, np.ones(30))[0]
     axis, found = frames.T_parent_axis[:3, 2], start.T_parent_axis[:3, 2]
     assert np.linalg.norm(np.cross(axis, found)) < 1e-9
@@ -117,7 +152,7 @@ def test_a_revolute_start_needs_no_radius() -> None:
 
 def test_a_far_hinge_that_hardly_turned_is_as_good_as_a_slide() -> None:
     revolute = JOINT_TYPES["revolute"]
-    far, near = (JointFrames(np.eye(4), se3.translation([r * FAR_HINGE_M, 0, 0])) for r in (1.1, 0.9))
+    far, near = (JointFrames.plain(np.eye(4), se3.translation([r * FAR_HINGE_M, 0, 0])) for r in (1.1, 0.9))
     little, much = np.array(0.9 * STRAIGHT_TURN_RAD), np.array(1.1 * STRAIGHT_TURN_RAD)
     assert revolute.is_degenerate(far, little)
     assert not revolute.is_degenerate(near, little)

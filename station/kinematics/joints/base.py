@@ -1,13 +1,17 @@
 """What a joint type is: its kinematics in its own axis frame, its honest count of parameters, and a start for a fit.
 
-Every type here is a one-parameter subgroup of SE(3) between two fixed poses,
+Every type moves between two fixed poses,
 
-    T_parent_child(q) = T_parent_axis @ exp(q * screw) @ T_axis_child,
+    T_parent_child(q) = T_parent_axis @ M(q; form) @ T_axis_child,
 
-with a unit `screw` in the axis frame: Trans_z for prismatic, R_z for revolute, none for rigid. The paper's
-parametrisations (18, 20, 22) are special cases: `o = T_parent_axis @ T_axis_child`, `r = T_parent_axis`, `c =
-T_axis_child`. They carry directions that change nothing (turning r about z and c back); the free directions listed by
-each type leave those out, so that they are as many as the type's parameters: 6 rigid, 7 prismatic, 9 revolute.
+with M a motion in the axis frame: Trans_z for prismatic, R_z for revolute, both for a screw whose `form` is its pitch,
+any rotation for spherical, none for rigid. The paper's parametrisations (18, 20, 22) are special cases:
+`o = T_parent_axis @ T_axis_child`, `r = T_parent_axis`, `c = T_axis_child`. They carry directions that change nothing
+(turning r about z and c back); the free directions listed by each type leave those out, so that they are as many as the
+type's parameters: 6 rigid, 7 prismatic, 9 revolute, 10 screw, 6 spherical.
+
+A type needs forward kinematics (`axis_motion`), inverse kinematics (`axis_state`), the twists of its state and form,
+and a start for a fit; everything else follows.
 """
 
 from __future__ import annotations
@@ -36,6 +40,7 @@ class JointGeometry:
         axis_parent: (3,) unit vector along or about which the joint moves; None for a rigid joint.
         point_parent_m: (3,) a point of the axis; None where any would do (rigid, prismatic).
         T_parent_child_zero: (4, 4) pose of the child in the parent at q = 0.
+        pitch_m_per_rad: advance along the axis of a screw; None for the other types.
 
     Raises:
         InvalidData: for an axis that has not unit length, or a zero pose that is no (4, 4) matrix.
@@ -44,6 +49,7 @@ class JointGeometry:
     axis_parent: FloatArray | None
     point_parent_m: FloatArray | None
     T_parent_child_zero: FloatArray
+    pitch_m_per_rad: float | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "T_parent_child_zero", frozen_floats(self.T_parent_child_zero))
@@ -66,10 +72,26 @@ class JointGeometry:
 
 @dataclass(frozen=True, eq=False)
 class JointFrames:
-    """The two fixed poses of a batch of joints, T_parent_axis and T_axis_child (..., 4, 4)."""
+    """The fixed numbers of a batch of joints.
+
+    Attributes:
+        T_parent_axis: (..., 4, 4).
+        T_axis_child: (..., 4, 4).
+        form: (..., m) numbers of the motion itself, such as a screw's pitch [m/rad]; most types have none, m = 0.
+    """
 
     T_parent_axis: FloatArray
     T_axis_child: FloatArray
+    form: FloatArray
+
+    @staticmethod
+    def plain(T_parent_axis: FloatArray, T_axis_child: FloatArray) -> JointFrames:
+        """Frames of a type without form."""
+        return JointFrames(T_parent_axis, T_axis_child, np.zeros((*T_parent_axis.shape[:-2], 0)))
+
+    def take(self, rows: NDArray[np.intp] | NDArray[np.bool_] | int) -> JointFrames:
+        """Some of the joints."""
+        return JointFrames(self.T_parent_axis[rows], self.T_axis_child[rows], self.form[rows])
 
 
 class JointType(ABC):
@@ -79,22 +101,30 @@ class JointType(ABC):
         name: as in files and options.
         parameters: honest degrees of freedom of the geometry when poses are seen.
         position_parameters: the same when only the child's positions are seen.
-        states: degrees of freedom that change from frame to frame.
+        paper_parameters: the count of the paper's footnote 5, or by its way of counting.
+        states: numbers s that change from frame to frame.
+        position_states: how many of them positions tell.
         unit: of the state, "m" or "rad"; None without one.
-        screw: unit twist [v, w] of the motion in the axis frame.
+        has_axis: whether the joint has a direction.
+        has_point: whether it has a place: a point of its axis, or its centre.
         axis_freedoms: entries of a right perturbation of T_parent_axis that a fit moves.
         child_freedoms: entries of a left perturbation of T_axis_child that a fit moves.
+        form_freedoms: how many numbers m its `form` has.
         limit: name of the type that this one turns into when its motion degenerates; None if there is none.
     """
 
     name: ClassVar[str]
     parameters: ClassVar[int]
     position_parameters: ClassVar[int]
+    paper_parameters: ClassVar[int]
     states: ClassVar[int]
+    position_states: ClassVar[int]
     unit: ClassVar[str | None]
-    screw: ClassVar[tuple[float, ...]]
+    has_axis: ClassVar[bool]
+    has_point: ClassVar[bool]
     axis_freedoms: ClassVar[tuple[int, ...]]
     child_freedoms: ClassVar[tuple[int, ...]]
+    form_freedoms: ClassVar[int] = 0
     limit: ClassVar[str | None] = None
 
     def is_degenerate(self, frames: JointFrames, travel: FloatArray) -> NDArray[np.bool_]:
@@ -102,16 +132,38 @@ class JointType(ABC):
         return np.zeros(np.shape(travel), dtype=bool)
 
     @abstractmethod
-    def axis_motion(self, q: FloatArray) -> FloatArray:
-        """(..., 4, 4) exp(q * screw) for states q (...,)."""
+    def axis_motion(self, q: FloatArray, form: FloatArray) -> FloatArray:
+        """(..., 4, 4) motion M for states q (..., s) and forms (..., m); NaN where a state is."""
 
     @abstractmethod
-    def axis_state(self, T_axis_child: FloatArray, zero: FloatArray) -> FloatArray:
-        """(...,) state that brings `zero` (..., 4, 4) nearest `T_axis_child` (..., 4, 4), both in the axis frame."""
+    def state_twists(self, form: FloatArray) -> FloatArray:
+        """(..., 6, s) right perturbations of M by changes of the state, M(moved(q, dq)) = M(q) exp(twists dq)."""
+
+    def form_twists(self, q: FloatArray, form: FloatArray) -> FloatArray:
+        """(..., 6, m) right perturbations of M by changes of the form."""
+        return np.zeros((*np.shape(q)[:-1], 6, self.form_freedoms))
+
+    def moved(self, q: FloatArray, dq: FloatArray) -> FloatArray:
+        """(..., s) states changed by dq (..., s)."""
+        return q + dq
 
     @abstractmethod
-    def axis_state_of_position(self, p_axis: FloatArray, zero_axis: FloatArray) -> FloatArray:
-        """(...,) state that brings the position `zero_axis` (..., 3) nearest `p_axis` (..., 3), in the axis frame."""
+    def axis_state(self, T_axis_child: FloatArray, zero: FloatArray, form: FloatArray) -> FloatArray:
+        """(..., s) state that brings `zero` (..., 4, 4) nearest `T_axis_child` (..., 4, 4), both in the axis frame."""
+
+    @abstractmethod
+    def axis_state_of_position(self, p_axis: FloatArray, zero_axis: FloatArray, form: FloatArray) -> FloatArray:
+        """(..., s) state that brings the position `zero_axis` (..., 3) nearest `p_axis` (..., 3), in the axis frame."""
+
+    def continuous(self, q: FloatArray) -> FloatArray:
+        """(..., T, s) the same states without jumps of a full turn from frame to frame."""
+        return np.unwrap(q, axis=-2) if self.unit == "rad" else q
+
+    def nearest_turn(self, q: FloatArray, near: FloatArray) -> FloatArray:
+        """(..., s) states q told by the full turn that brings them nearest to other states (..., s)."""
+        if self.unit != "rad":
+            return q
+        return near + np.arctan2(np.sin(q - near), np.cos(q - near))
 
     @abstractmethod
     def starts(self, T_parent_child: FloatArray, weights: FloatArray) -> tuple[JointFrames, ...]:
@@ -129,30 +181,40 @@ class JointType(ABC):
     def geometry(self, frames: JointFrames) -> JointGeometry:
         """The geometry of one joint, (4, 4) frames, of this type."""
         T_parent_axis = frames.T_parent_axis
-        axis = T_parent_axis[:3, 2] if self.states else None
-        point = T_parent_axis[:3, 3] if any(self.screw[3:]) else None
-        return JointGeometry(axis, point, T_parent_axis @ frames.T_axis_child)
+        axis = T_parent_axis[:3, 2] if self.has_axis else None
+        point = T_parent_axis[:3, 3] if self.has_point else None
+        pitch = float(frames.form[0]) if self.form_freedoms else None
+        return JointGeometry(axis, point, T_parent_axis @ frames.T_axis_child, pitch)
 
     def frames(self, geometry: JointGeometry) -> JointFrames:
-        """The two fixed poses (4, 4) of a geometry of this type."""
-        if self.states and geometry.axis_parent is None:
+        """The fixed numbers of a geometry of this type."""
+        if self.has_axis and geometry.axis_parent is None:
             raise InvalidData(f"a {self.name} joint needs an axis")
+        if self.form_freedoms and geometry.pitch_m_per_rad is None:
+            raise InvalidData(f"a {self.name} joint needs a pitch")
         T_parent_axis = geometry.T_parent_axis
-        return JointFrames(T_parent_axis, se3.inverse(T_parent_axis) @ geometry.T_parent_child_zero)
+        form = np.array([geometry.pitch_m_per_rad] if self.form_freedoms else [], dtype=np.float64)
+        return JointFrames(T_parent_axis, se3.inverse(T_parent_axis) @ geometry.T_parent_child_zero, form)
 
     def motion(self, geometry: JointGeometry, q: FloatArray) -> FloatArray:
         """(..., 4, 4) motion of the child from its zero pose, in the parent's frame: T(q) @ T(0)^-1."""
-        T_parent_axis = self.frames(geometry).T_parent_axis
-        return T_parent_axis @ self.axis_motion(np.asarray(q, dtype=np.float64)) @ se3.inverse(T_parent_axis)
+        frames = self.frames(geometry)
+        M = self.axis_motion(self._columns(np.asarray(q, dtype=np.float64)), frames.form)
+        return frames.T_parent_axis @ M @ se3.inverse(frames.T_parent_axis)
 
     def forward(self, geometry: JointGeometry, q: FloatArray) -> FloatArray:
-        """(..., 4, 4) T_parent_child at states q (...,) [m or rad]."""
+        """(..., 4, 4) T_parent_child at states q [m or rad]: (...,), or (..., s) for s > 1."""
         return self.motion(geometry, q) @ geometry.T_parent_child_zero
 
     def inverse(self, geometry: JointGeometry, T_parent_child: FloatArray) -> FloatArray:
-        """(...,) state nearest to T_parent_child (..., 4, 4); angles in (-pi, pi]."""
+        """State nearest to T_parent_child (..., 4, 4), as `forward` takes it; angles in (-pi, pi]."""
         frames = self.frames(geometry)
-        return self.axis_state(se3.inverse(frames.T_parent_axis) @ T_parent_child, frames.T_axis_child)
+        q = self.axis_state(se3.inverse(frames.T_parent_axis) @ T_parent_child, frames.T_axis_child, frames.form)
+        return q if self.states > 1 else q.sum(axis=-1)
+
+    def _columns(self, q: FloatArray) -> FloatArray:
+        """(..., s) states as a fit has them of those of `forward`."""
+        return q if self.states > 1 else np.repeat(q[..., None], self.states, axis=-1)
 
 
 def weighted_mean(values: FloatArray, weights: FloatArray) -> FloatArray:

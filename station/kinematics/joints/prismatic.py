@@ -20,35 +20,42 @@ class Prismatic(JointType):
     name = "prismatic"
     parameters = 7
     position_parameters = 4
+    paper_parameters = 9
     states = 1
+    position_states = 1
     unit = "m"
-    screw = (0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
+    has_axis = True
+    has_point = False
     axis_freedoms = (3, 4)
     child_freedoms = (0, 1, 3, 4, 5)
 
-    def axis_motion(self, q: FloatArray) -> FloatArray:
-        """(..., 4, 4) translation along z by q (...,) metres."""
-        T = se3.identity(*np.shape(q))
-        T[..., 2, 3] = q
-        T[np.isnan(q)] = np.nan
+    def axis_motion(self, q: FloatArray, form: FloatArray) -> FloatArray:
+        """(..., 4, 4) translation along z by q (..., 1) metres."""
+        T = se3.identity(*np.shape(q)[:-1])
+        T[..., 2, 3] = q[..., 0]
+        T[np.isnan(q[..., 0])] = np.nan
         return T
 
-    def axis_state(self, T_axis_child: FloatArray, zero: FloatArray) -> FloatArray:
-        """(...,) metres along z from `zero`."""
-        return T_axis_child[..., 2, 3] - zero[..., 2, 3]
+    def state_twists(self, form: FloatArray) -> FloatArray:
+        """(..., 6, 1) along z."""
+        return np.broadcast_to(np.eye(6)[:, 2:3], (*np.shape(form)[:-1], 6, 1))
 
-    def axis_state_of_position(self, p_axis: FloatArray, zero_axis: FloatArray) -> FloatArray:
-        """(...,) metres along z from `zero_axis`."""
-        return p_axis[..., 2] - zero_axis[..., 2]
+    def axis_state(self, T_axis_child: FloatArray, zero: FloatArray, form: FloatArray) -> FloatArray:
+        """(..., 1) metres along z from `zero`."""
+        return (T_axis_child[..., 2, 3] - zero[..., 2, 3])[..., None]
+
+    def axis_state_of_position(self, p_axis: FloatArray, zero_axis: FloatArray, form: FloatArray) -> FloatArray:
+        """(..., 1) metres along z from `zero_axis`."""
+        return (p_axis[..., 2] - zero_axis[..., 2])[..., None]
 
     def starts(self, T_parent_child: FloatArray, weights: FloatArray) -> tuple[JointFrames, ...]:
         """The mean rotation, and the line through the translations along their leading singular vector."""
         (line,) = self.position_starts(T_parent_child[..., :3, 3], weights)
         R = mean_rotation(T_parent_child[..., :3, :3], weights)
-        return (JointFrames(line.T_parent_axis, se3.pose(turned(line.T_parent_axis) @ R, np.zeros(3))),)
+        return (JointFrames.plain(line.T_parent_axis, se3.pose(turned(line.T_parent_axis) @ R, np.zeros(3))),)
 
     def position_starts(self, p_parent: FloatArray, weights: FloatArray) -> tuple[JointFrames, ...]:
         """The line through the mean position along the leading singular vector of the positions."""
         centre, directions = weighted_scatter(p_parent, weights)
         T_parent_axis = se3.pose(se3.rotation_between(Z, directions[..., 0]), centre)
-        return (JointFrames(T_parent_axis, se3.pose(turned(T_parent_axis), np.zeros(3))),)
+        return (JointFrames.plain(T_parent_axis, se3.pose(turned(T_parent_axis), np.zeros(3))),)

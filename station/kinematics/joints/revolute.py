@@ -36,9 +36,12 @@ class Revolute(JointType):
     name = "revolute"
     parameters = 9
     position_parameters = 6
+    paper_parameters = 12
     states = 1
+    position_states = 1
     unit = "rad"
-    screw = (0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
+    has_axis = True
+    has_point = True
     axis_freedoms = (0, 1, 3, 4)
     child_freedoms = (0, 1, 2, 3, 4)
     limit = "prismatic"
@@ -48,24 +51,28 @@ class Revolute(JointType):
         radius = np.hypot(frames.T_axis_child[..., 0, 3], frames.T_axis_child[..., 1, 3])
         return (radius > FAR_HINGE_M) & (np.abs(travel) < STRAIGHT_TURN_RAD)
 
-    def axis_motion(self, q: FloatArray) -> FloatArray:
-        """(..., 4, 4) rotation about z by q (...,) radians."""
-        T = se3.identity(*np.shape(q))
-        T[..., 0, 0] = T[..., 1, 1] = np.cos(q)
-        T[..., 1, 0] = np.sin(q)
+    def axis_motion(self, q: FloatArray, form: FloatArray) -> FloatArray:
+        """(..., 4, 4) rotation about z by q (..., 1) radians."""
+        T = se3.identity(*np.shape(q)[:-1])
+        T[..., 0, 0] = T[..., 1, 1] = np.cos(q[..., 0])
+        T[..., 1, 0] = np.sin(q[..., 0])
         T[..., 0, 1] = -T[..., 1, 0]
-        T[np.isnan(q)] = np.nan
+        T[np.isnan(q[..., 0])] = np.nan
         return T
 
-    def axis_state(self, T_axis_child: FloatArray, zero: FloatArray) -> FloatArray:
-        """(...,) radians in (-pi, pi]: the turn about z nearest to the relative rotation (paper, 23)."""
-        R = T_axis_child[..., :3, :3] @ np.swapaxes(zero[..., :3, :3], -1, -2)
-        return np.arctan2(R[..., 1, 0] - R[..., 0, 1], R[..., 0, 0] + R[..., 1, 1])
+    def state_twists(self, form: FloatArray) -> FloatArray:
+        """(..., 6, 1) about z."""
+        return np.broadcast_to(np.eye(6)[:, 5:6], (*np.shape(form)[:-1], 6, 1))
 
-    def axis_state_of_position(self, p_axis: FloatArray, zero_axis: FloatArray) -> FloatArray:
-        """(...,) radians in (-pi, pi] between the two positions, seen along z."""
+    def axis_state(self, T_axis_child: FloatArray, zero: FloatArray, form: FloatArray) -> FloatArray:
+        """(..., 1) radians in (-pi, pi]: the turn about z nearest to the relative rotation (paper, 23)."""
+        R = T_axis_child[..., :3, :3] @ np.swapaxes(zero[..., :3, :3], -1, -2)
+        return np.arctan2(R[..., 1, 0] - R[..., 0, 1], R[..., 0, 0] + R[..., 1, 1])[..., None]
+
+    def axis_state_of_position(self, p_axis: FloatArray, zero_axis: FloatArray, form: FloatArray) -> FloatArray:
+        """(..., 1) radians in (-pi, pi] between the two positions, seen along z."""
         turn = np.arctan2(p_axis[..., 1], p_axis[..., 0]) - np.arctan2(zero_axis[..., 1], zero_axis[..., 0])
-        return np.arctan2(np.sin(turn), np.cos(turn))
+        return np.arctan2(np.sin(turn), np.cos(turn))[..., None]
 
     def starts(self, T_parent_child: FloatArray, weights: FloatArray) -> tuple[JointFrames, ...]:
         """Axis from the rotations with the point by a line or a circle fit; and plane and circle from the positions."""
@@ -73,7 +80,8 @@ class Revolute(JointType):
         U, _, Vt = np.linalg.svd(np.einsum("...t,...tij->...ij", weights, R))
         R_axis_parent = np.swapaxes(se3.rotation_between(Z, U[..., :, 0]), -1, -2)
         R_axis_child = se3.rotation_between(Vt[..., 0, :], Z)
-        q = self.axis_state(se3.pose(R_axis_parent[..., None, :, :] @ R, np.zeros(3)), _at_origin(R_axis_child))
+        turns = se3.pose(R_axis_parent[..., None, :, :] @ R, np.zeros(3))
+        q = self.axis_state(turns, _at_origin(R_axis_child), np.zeros(0))[..., 0]
         p_axis = p @ np.swapaxes(R_axis_parent, -1, -2)
         by_turns = _frames(R_axis_parent, R_axis_child, *_centre_by_turns(p_axis, q, weights))
         centre, _ = _fit_circle(p_axis, weights)
@@ -94,7 +102,7 @@ class Revolute(JointType):
         if R is None:
             return _frames(R_axis_parent, R_axis_parent, centre, arm)
         q = np.arctan2(p_axis[..., 1], p_axis[..., 0])
-        turned_back = np.swapaxes(self.axis_motion(q)[..., :3, :3], -1, -2) @ R_axis_parent[..., None, :, :] @ R
+        turned_back = np.swapaxes(se3.rotation_z(q)[..., :3, :3], -1, -2) @ R_axis_parent[..., None, :, :] @ R
         return _frames(R_axis_parent, mean_rotation(turned_back, weights), centre, arm)
 
 
@@ -106,7 +114,7 @@ def _frames(R_axis_parent: FloatArray, R_axis_child: FloatArray, centre: FloatAr
     """Frames of a joint whose centre and arm (..., 3) are given along the axis frame's directions."""
     R_parent_axis = np.swapaxes(R_axis_parent, -1, -2)
     T_parent_axis = se3.pose(R_parent_axis, (R_parent_axis @ centre[..., None])[..., 0])
-    return JointFrames(T_parent_axis, se3.pose(R_axis_child, arm))
+    return JointFrames.plain(T_parent_axis, se3.pose(R_axis_child, arm))
 
 
 def _turned_back(p: FloatArray, q: FloatArray) -> FloatArray:
