@@ -1,68 +1,31 @@
-"""Servo models as data: control tables, units and limits, read from the TOML files beside this module."""
+"""What is known of one servo model: its control table, and the roles that registers play in it."""
 
 from __future__ import annotations
 
-import math
-import tomllib
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cache
-from importlib.resources import files
-from types import MappingProxyType
-from typing import Any
 
 from drivers.errors import DriverError
+from drivers.servo_models.register import Register, Unit
 
-RAD_S_PER_RPM = 2 * math.pi / 60
-RAD_S2_PER_RPM2 = 2 * math.pi / 3600  # rev/min^2, the unit of Profile Acceleration
-# Fraction of a unit. A speed that is a whole number of units but for rounding in float64 counts as that number.
-ROUNDING_TOLERANCE = 1e-9
+_INDIRECT = re.compile(r"indirect_(address|data)_([1-9]\d*)")
+INDIRECT_MINIMUM = 64  # e-manual, Indirect Address: what it may point to begins with the RAM area
 
 
 @dataclass(frozen=True, slots=True)
-class Register:
-    """One register of a control table.
+class IndirectBlock:
+    """Registers "indirect_address_N" and "indirect_data_N" of the X series, N from `first` on.
 
     Attributes:
-        encoding: "unsigned", "twos_complement", or "sign_magnitude" (AX: bit 10 is the direction, set for clockwise).
-        area: "EEPROM" or "RAM".
-        initial: value at power-up of a new servo, None where it depends on the servo's state.
-        minimum, maximum: what a write may hold; None where the manual names no range.
+        address: of the first indirect address; they have two bytes each.
+        data: of the first indirect data; they have one byte each.
     """
 
-    name: str
+    first: int
+    count: int
     address: int
-    size: int
-    area: str
-    writable: bool
-    encoding: str = "unsigned"
-    initial: int | None = None
-    minimum: int | None = None
-    maximum: int | None = None
-
-    def encode(self, value: int) -> bytes:
-        """Little-endian bytes of a value; raises DriverError if the register can't hold it."""
-        low, high = self._span()
-        if not low <= value <= high:
-            raise DriverError(f"{value} doesn't fit in register '{self.name}' ({self.size} B, {low} to {high})")
-        if self.encoding == "sign_magnitude" and value < 0:
-            value = 0x400 - value
-        return (value % (1 << 8 * self.size)).to_bytes(self.size, "little")
-
-    def decode(self, data: bytes) -> int:
-        """The signed value of `size` little-endian bytes."""
-        if self.encoding == "sign_magnitude":
-            raw = int.from_bytes(data, "little")
-            return -(raw & 0x3FF) if raw & 0x400 else raw & 0x3FF
-        return int.from_bytes(data, "little", signed=self.encoding == "twos_complement")
-
-    def _span(self) -> tuple[int, int]:
-        if self.encoding == "sign_magnitude":
-            return -0x3FF, 0x3FF
-        bits = 8 * self.size
-        if self.encoding == "twos_complement":
-            return -(1 << bits - 1), (1 << bits - 1) - 1
-        return 0, (1 << bits) - 1
+    data: int
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -70,14 +33,29 @@ class ServoModel:
     """What is known of one servo model; angles are counted from `zero_count`, positive anticlockwise.
 
     Attributes:
+        protocols: that its firmware speaks.
+        sync_read, bulk_read: whether it answers these instructions, in a protocol that has them.
+        fast_sync_read: None where that depends on the firmware.
+        recovery: what gives torque back after a shutdown: "reboot", or "torque_limit" (write it again, not as zero).
+        eeprom_lock: the register that must be 0 for a write to the EEPROM area: "torque_enable" or "lock".
+        sync_cable: whether a cable can make it follow another servo.
+        supply_v: least and greatest supply voltage.
+        nominal_v: the voltage of `no_load_rad_s`, `stall_nm` and `stall_a`.
         registers: by name; "goal_position", "present_position", "torque_enable", "return_delay_time" and
-            "status_return_level" are in every model, the others by the role names below.
-        speed_register: limits the speed of a motion, in `speed_unit_rad_s`; 0 is no limit.
-        acceleration_register: limits the acceleration, in `acceleration_unit_rad_s2`; None where there is none.
-        hardware_error_register: None where the status packet's error byte alone tells (protocol 1.0 models).
-        error_bits: names of the bits of that register or byte.
+            "status_return_level" are in every model, the others by the role names below. Indirect registers aren't
+            listed here; `register` knows them.
+        indirect: blocks of indirect registers.
+        speed_register: limits the speed of a motion; 0 is no limit.
+        acceleration_register: limits the acceleration; 0 is no limit; None where there is none.
+        effort_register: the current where there is a sensor (its unit is "A"), else the load (its unit is "1").
+        hardware_error_register: None where the status packet's error byte alone tells (protocol 1.0 firmware).
+        operating_mode_register: None where the position limits set the mode (protocol 1.0 firmware).
+        operating_modes: value of that register by name; "position" is in all of them.
+        drive_mode_bits: names of the bits of the register "drive_mode".
+        error_bits: names of the bits of the hardware error register or the error byte, and of "shutdown".
         baud_codes: baud by the value of the register "baud_rate".
-        group_read: whether the servo answers group reads at all.
+        unverified: what isn't sure, and why, by the name of a register or of a field of this class.
+        sources: manual pages and tables that the facts are from.
     """
 
     name: str
@@ -85,121 +63,118 @@ class ServoModel:
     protocols: tuple[float, ...]
     resolution: int
     zero_count: int
-    rad_per_count: float
+    sync_read: bool
+    bulk_read: bool
+    fast_sync_read: bool | None
+    recovery: str
+    eeprom_lock: str
+    sync_cable: bool
+    supply_v: tuple[float, float]
+    nominal_v: float
     no_load_rad_s: float
-    group_read: bool
+    stall_nm: float
+    stall_a: float
     size_bytes: int
+    registers: Mapping[str, Register]
+    indirect: tuple[IndirectBlock, ...]
     speed_register: str
-    speed_max: int
-    speed_unit_rad_s: float
     acceleration_register: str | None
-    acceleration_unit_rad_s2: float | None
     present_speed_register: str
+    effort_register: str
     voltage_register: str
     position_limit_registers: tuple[str, str]
     registered_flag: str
     hardware_error_register: str | None
-    registers: Mapping[str, Register]
+    operating_mode_register: str | None
+    operating_modes: Mapping[str, int]
+    drive_mode_bits: Mapping[int, str]
     error_bits: Mapping[int, str]
     baud_codes: Mapping[int, int]
+    unverified: Mapping[str, str]
     sources: tuple[str, ...]
 
     def register(self, name: str) -> Register:
-        """The register of that name; raises DriverError that lists the names."""
-        if name not in self.registers:
-            raise DriverError(f"{self.name} has no register '{name}'; it has {', '.join(self.registers)}")
-        return self.registers[name]
+        """The register of that name, indirect ones included; raises DriverError that lists the names."""
+        found = self.registers.get(name) or self._indirect_register(name)
+        if found is None:
+            names = [*self.registers]
+            for block in self.indirect:
+                last = block.first + block.count - 1
+                names += [f"indirect_{kind}_{block.first} to {last}" for kind in ("address", "data")]
+            raise DriverError(f"{self.name} has no register '{name}'; it has {', '.join(names)}")
+        return found
 
     def rad(self, count: float) -> float:
         """Shaft angle of a position count, rad from the zero count."""
-        return (count - self.zero_count) * self.rad_per_count
+        return self.registers["goal_position"].physical(count)
 
     def count(self, shaft_rad: float) -> int:
         """The position count nearest to a shaft angle."""
-        return self.zero_count + math.floor(shaft_rad / self.rad_per_count + 0.5)
+        return self.registers["goal_position"].count(shaft_rad)
+
+    def counts_covering(self, lower_rad: float, upper_rad: float) -> tuple[int, int]:
+        """The narrowest range of position counts that holds all shaft angles from lower to upper."""
+        goal = self.registers["goal_position"]
+        return goal.count_at_most(lower_rad), goal.count_at_least(upper_rad)
 
     def speed_units_within(self, rad_s: float) -> int:
         """The largest value of the speed register that doesn't exceed `rad_s`; 0 means that there is none."""
-        units = math.floor(rad_s / self.speed_unit_rad_s + ROUNDING_TOLERANCE)
-        return max(0, min(units, self.speed_max))
+        return max(0, min(self.registers[self.speed_register].count_at_most(rad_s), self.speed_max))
 
     def error_names(self, bits: int) -> tuple[str, ...]:
         """Names of the set bits of the error byte or register."""
         return tuple(self.error_bits.get(bit, f"bit {bit}") for bit in range(8) if bits >> bit & 1)
 
+    @property
+    def rad_per_count(self) -> float:
+        """Angle of one position count."""
+        return _unit(self.registers["goal_position"]).per_count
 
-def _data(folder: str, name: str) -> dict[str, Any]:
-    return tomllib.loads((files(__package__ or "") / folder / f"{name}.toml").read_text("utf-8"))
+    @property
+    def speed_unit_rad_s(self) -> float:
+        """Speed of one count of the speed register."""
+        return _unit(self.registers[self.speed_register]).per_count
 
+    @property
+    def speed_max(self) -> int:
+        """The largest value that limits a speed."""
+        return self.registers[self.speed_register].maximum or 0
 
-def _register(row: Mapping[str, Any], initial: Mapping[str, int]) -> Register:
-    return Register(
-        name=row["name"],
-        address=row["address"],
-        size=row["size"],
-        area=row["area"],
-        writable=row["access"] == "RW",
-        encoding=row.get("encoding", "unsigned"),
-        initial=initial.get(row["name"], row.get("initial")),
-        minimum=row.get("min"),
-        maximum=row.get("max"),
-    )
+    @property
+    def acceleration_unit_rad_s2(self) -> float | None:
+        """Acceleration of one count of the acceleration register, None where there is none."""
+        name = self.acceleration_register
+        return None if name is None else _unit(self.registers[name]).per_count
 
+    @property
+    def group_read(self) -> bool:
+        """Whether it answers group reads at all."""
+        return self.sync_read or self.bulk_read
 
-def _model(stem: str) -> ServoModel:
-    own = _data("models", stem)
-    table = _data("tables", own["table"])
-    initial = {"model_number": own["model_number"], **own.get("initial", {})}
-    rows = [row for row in table["registers"] if row["name"] not in own.get("omit", ())] + own.get("registers", [])
-    registers = {row["name"]: _register(row, initial) for row in sorted(rows, key=lambda row: row["address"])}
-    acceleration_unit = table.get("acceleration_unit_rpm2")
-    span_counts = own["resolution"] if own["span_deg"] == 360.0 else own["resolution"] - 1  # AX: 1023 is 300 deg
-    return ServoModel(
-        name=own["name"],
-        model_number=own["model_number"],
-        protocols=tuple(own["protocols"]),
-        resolution=own["resolution"],
-        zero_count=own["zero_count"],
-        rad_per_count=math.radians(own["span_deg"]) / span_counts,
-        no_load_rad_s=own["no_load_rpm"] * RAD_S_PER_RPM,
-        group_read=own["group_read"],
-        size_bytes=table["size_bytes"],
-        speed_register=table["speed_register"],
-        speed_max=table["speed_max"],
-        speed_unit_rad_s=table["speed_unit_rpm"] * RAD_S_PER_RPM,
-        acceleration_register=table.get("acceleration_register"),
-        acceleration_unit_rad_s2=None if acceleration_unit is None else acceleration_unit * RAD_S2_PER_RPM2,
-        present_speed_register=table["present_speed_register"],
-        voltage_register=table["voltage_register"],
-        position_limit_registers=tuple(table["position_limit_registers"]),
-        registered_flag=table["registered_flag"],
-        hardware_error_register=table.get("hardware_error_register"),
-        registers=MappingProxyType(registers),
-        error_bits=MappingProxyType({int(bit): name for bit, name in table["error_bits"].items()}),
-        baud_codes=MappingProxyType({int(code): baud for code, baud in table["baud"].items()}),
-        sources=(*own["sources"], *table["sources"]),
-    )
+    @property
+    def factory_baud(self) -> int:
+        """The baud of a new servo."""
+        return self.baud_codes[self.registers["baud_rate"].initial or 0]
+
+    def _indirect_register(self, name: str) -> Register | None:
+        if (match := _INDIRECT.fullmatch(name)) is None:
+            return None
+        kind, number = match[1], int(match[2])
+        for block in self.indirect:
+            k = number - block.first
+            if not 0 <= k < block.count:
+                continue
+            if kind == "data":
+                return Register(name, block.data + k, 1, "RAM", True, initial=0, minimum=0, maximum=255)
+            last = self.size_bytes - 1
+            return Register(
+                name, block.address + 2 * k, 2, "RAM", True,
+                initial=block.data + k, minimum=INDIRECT_MINIMUM, maximum=last,
+            )  # fmt: skip
+        return None
 
 
-def _stems() -> dict[str, str]:
-    """Model name -> file stem; a model is added by adding its file."""
-    found = sorted(entry.name for entry in (files(__package__ or "") / "models").iterdir())
-    stems = [name.removesuffix(".toml") for name in found if name.endswith(".toml")]
-    return {stem.upper().replace("_", "-"): stem for stem in stems}
-
-
-_STEMS = _stems()
-MODELS: tuple[str, ...] = tuple(_STEMS)
-
-
-@cache
-def load_model(name: str) -> ServoModel:
-    """The model of that name, as printed on the servo ("AX-18A"); raises DriverError that lists the names."""
-    if name not in _STEMS:
-        raise DriverError(f"no servo model '{name}'; have {', '.join(MODELS)}")
-    return _model(_STEMS[name])
-
-
-def model_by_number(model_number: int) -> ServoModel | None:
-    """The model that answers a ping with this number, None for one that isn't here."""
-    return next((model for model in map(load_model, MODELS) if model.model_number == model_number), None)
+def _unit(register: Register) -> Unit:
+    if register.unit is None:
+        raise DriverError(f"register '{register.name}' has no unit")
+    return register.unit
