@@ -571,6 +571,27 @@ def test_the_fit_draws_an_axis_where_its_parent_was_seen(tmp_path: Path, frames:
     np.testing.assert_allclose(middle.reshape(-1, 3), [(0.75, 0.25, 1.0)] * 2, atol=1e-6)  # m; the viewer has float32
 
 
+def test_the_fit_draws_the_centre_of_a_ball_and_a_series_for_each_of_its_states(
+    tmp_path: Path, frames: list[MadeFrame]
+) -> None:
+    from rerun.chunk import RrdReader
+
+    folder = make_session(tmp_path / "s", frames[:2])
+    t_s = Recording.load(folder).observations.t_s
+    T = np.tile(np.eye(4), (2, 2, 1, 1))
+    T[:, 0, :3, 3] = (0.5, 0.25, 1.0)
+    ball = Joint("ball", "spherical", "base", "lid", None, np.array([0.25, 0.0, 0.0]), np.eye(4))
+    tree = KinematicTree("base", ("base", "lid"), (), (("base", "lid"),), (ball,))
+    detected = JointLog(t_s, tree.columns, np.zeros((2, 3)), ("rad",) * 3)
+    path = append_detected(folder, detected, tree, PoseLog(t_s, "camera", ("base", "lid"), T))
+    (chunk,) = RrdReader(path).stream().filter(content="/fit/axes/ball", is_static=False)
+    places = np.array(chunk.to_record_batch().column("Points3D:positions").to_pylist())
+    np.testing.assert_allclose(places.reshape(-1, 3), [(0.75, 0.25, 1.0)] * 2, atol=1e-6)  # m; the viewer has float32
+    (names,) = RrdReader(path).stream().filter(content="/joints/detected", is_static=True)
+    series = names.to_record_batch().column("SeriesLines:names").to_pylist()[0]
+    assert [name for name in series if name.startswith("ball")] == [f"ball_{i} detected (rad)" for i in "xyz"]
+
+
 def test_recordings_leave_no_more_threads_than_one_does(tmp_path: Path, frames: list[MadeFrame]) -> None:
     # rerun keeps a few native threads for the whole process; Python doesn't list them.
     def native_threads() -> int:

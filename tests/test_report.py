@@ -54,7 +54,7 @@ def logs(unit: str = "rad", count: int = 4) -> tuple[JointLog, JointLog, JointLo
 def compared(unit: str = "rad", count: int = 4) -> Comparison:
     detected, commanded, measured = logs(unit, count)
     kind = "revolute" if unit == "rad" else "prismatic"
-    return compare(detected, dict.fromkeys(detected.joints, kind), commanded, measured)
+    return compare(detected, commanded, measured, types=dict.fromkeys(detected.joints, kind))
 
 
 def viewing(comparison: Comparison):
@@ -188,6 +188,26 @@ def test_the_tree_figure_names_every_body_tracker_and_joint():
     drawn = " ".join(text.get_text() for axes in tree_figure(tree, states_of(tree)).axes for text in axes.texts)
     assert all(part in drawn for part in tree.parts)
     assert drawn.count("revolute, -29 to 34 deg") == 4
+
+
+def test_a_ball_has_a_panel_with_its_three_states_and_a_screw_says_its_advance():
+    ball = Joint("ball", "spherical", "base", "link1", None, np.zeros(3), np.eye(4), state_min=0.0, state_max=0.6)
+    screw = replace(joint_between("bolt", "link1", "link2"), type="screw", pitch_m_per_rad=0.002)
+    tree = KinematicTree("base", CHAIN[:3], (), (CHAIN[:3],), (ball, screw))
+    t_s = np.linspace(0, 10, 60)
+    q = np.stack([np.sin(t_s + i) for i in range(4)], -1)
+    figure = tree_figure(tree, JointLog(t_s, tree.columns, q, ("rad",) * 4, np.full(q.shape, 0.1)))
+    assert texts_that_overlap(figure) == []
+    graph, panel, single = figure.axes
+    assert [text.get_text() for text in panel.get_legend().get_texts()] == ["x", "y", "z"]
+    drawn = {line.get_label(): line.get_ydata() for line in panel.get_lines()}
+    np.testing.assert_allclose(drawn["z"], np.degrees(q[:, 2]))
+    assert single.get_legend() is None
+    said = {text.get_text() for text in graph.texts}
+    assert {"ball: spherical, 0 to 34 deg", "bolt: screw, 12.6 mm/turn, -29 to 34 deg"} <= said
+    assert [row[2:4] for row in tree_rows(tree)[1:]] == [
+        *(["spherical", "0 to 34 deg"], ["screw, 12.6 mm/turn", "-29 to 34 deg"]),
+    ]
 
 
 def test_figures_cope_with_unknown_std_no_readback_millimetres_and_nothing_at_all(tmp_path):

@@ -10,134 +10,10 @@ from numpy.typing import ArrayLike
 
 from station.errors import InvalidData
 from station.kinematics import se3
-from station.kinematics.joints import JOINT_TYPES, JointGeometry, JointType
-from station.logs import FloatArray, check_slugs, frozen_floats
+from station.kinematics.joint import Joint
+from station.logs import FloatArray, check_slugs
 
-# Dimensionless; as for the rotations of a PoseLog.
-RIGID_TOLERANCE = 1e-6
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class Joint:
-    """A joint between two bodies and what a fit found out about it; None where nothing was fitted or is known.
-
-    Attributes:
-        name: slug; a fitted joint is `parent__child` until it is matched to a commanded one.
-        type: key of `JOINT_TYPES`.
-        parent: named part of the parent body.
-        child: named part of the child body.
-        axis_parent: (3,) unit vector in the parent's frame; None for a type without one.
-        point_parent_m: (3,) point of the axis, best the one nearest the child's mean position; None for a type without.
-        T_parent_child_zero: (4, 4) pose of the child at state 0; `T_parent_child(q) = motion(q) @ T_parent_child_zero`.
-        pitch_m_per_rad: advance of a screw; None for the other types.
-        state_min: least observed state, in the type's unit (rad or m).
-        state_max: largest observed state.
-        limits: least and largest state that a tree file allows.
-        scores: "criterion" with its name, and each candidate type's score, lower is better; NaN if it has none.
-        probability: of each candidate, "free" included if it is one.
-        rms_rotation_rad: norm of the rotation residuals over inliers.
-        rms_translation_m: norm of the translation residuals over inliers.
-        frames: number of frames with both parts.
-        outliers: number of these that were left out.
-        axis_std_rad: sqrt(trace) over the two degrees of freedom of the axis.
-        point_std_m: sqrt(trace) over the two degrees of freedom of the point.
-
-    Raises:
-        InvalidData: for names that are no slugs, an unknown type, an axis or point that the type needs or has not, an
-            axis that is no unit vector, a zero pose that is no rigid motion, a range that ends before it begins.
-    """
-
-    name: str
-    type: str
-    parent: str
-    child: str
-    axis_parent: FloatArray | None
-    point_parent_m: FloatArray | None
-    T_parent_child_zero: FloatArray
-    pitch_m_per_rad: float | None = None
-    state_min: float | None = None
-    state_max: float | None = None
-    limits: tuple[float, float] | None = None
-    scores: Mapping[str, float | str] | None = None
-    probability: Mapping[str, float] | None = None
-    rms_rotation_rad: float | None = None
-    rms_translation_m: float | None = None
-    frames: int | None = None
-    outliers: int | None = None
-    axis_std_rad: float | None = None
-    point_std_m: float | None = None
-
-    def __post_init__(self) -> None:
-        check_slugs((self.name,), "joint")
-        for name in ("axis_parent", "point_parent_m", "T_parent_child_zero"):
-            value = getattr(self, name)
-            object.__setattr__(self, name, None if value is None else frozen_floats(value))
-        for name in ("scores", "probability"):
-            by_type: Mapping[str, object] | None = getattr(self, name)
-            object.__setattr__(self, name, None if by_type is None else dict(by_type))
-        _check_ends(self)
-        _check_geometry(self)
-        _check_range(self, "state", self.state_min, self.state_max)
-        if self.limits is not None:
-            object.__setattr__(self, "limits", tuple(self.limits))
-            _check_range(self, "limits", *self.limits)
-
-    @property
-    def kind(self) -> JointType:
-        """The joint type with its kinematics."""
-        return JOINT_TYPES[self.type]
-
-    @property
-    def unit(self) -> str:
-        """Unit of the state, "rad" or "m"; empty for a joint without one."""
-        return self.kind.unit or ""
-
-    @property
-    def geometry(self) -> JointGeometry:
-        """Where the joint is, in the parent's frame."""
-        return JointGeometry(self.axis_parent, self.point_parent_m, self.T_parent_child_zero, self.pitch_m_per_rad)
-
-    def forward(self, q: ArrayLike) -> FloatArray:
-        """T_parent_child (..., 4, 4) at states q (...,) in rad or m; a rigid joint ignores them but for their shape."""
-        return self.kind.forward(self.geometry, np.asarray(q, dtype=np.float64))
-
-    def with_sign(self, sign: int) -> Joint:
-        """The same joint for sign +1; for -1 its axis turned round, so that its state counts the other way."""
-        if sign > 0 or self.axis_parent is None:
-            return self
-        low, high = (None if x is None else -x for x in (self.state_max, self.state_min))
-        limits = None if self.limits is None else (-self.limits[1], -self.limits[0])
-        return replace(self, axis_parent=-self.axis_parent, state_min=low, state_max=high, limits=limits)
-
-    def reversed(self) -> Joint:
-        """The same joint seen from its child: for the same q the same relative motion.
-
-        `T_child_parent(q) = zero^-1 motion(q)^-1`, so the zero pose is inverted, the point is taken to the child's
-        frame and so is the axis, with its sign turned: then q keeps its sign. The name, scores and counts stay. The
-        residuals of translation and the deviations of axis and point hold in the parent's frame only: they become None.
-        """
-        T_child_parent = se3.inverse(self.T_parent_child_zero)
-        axis = None if self.axis_parent is None else -T_child_parent[:3, :3] @ self.axis_parent
-        turned = replace(
-            self,
-            parent=self.child,
-            child=self.parent,
-            axis_parent=axis,
-            point_parent_m=_moved_point(T_child_parent, self.point_parent_m),
-            T_parent_child_zero=T_child_parent,
-            rms_translation_m=None,
-            axis_std_rad=None,
-            point_std_m=None,
-        )
-        return turned._with_nearest_point()
-
-    def _with_nearest_point(self) -> Joint:
-        """The joint with the point of its axis that is nearest to the child's origin at the middle of the range."""
-        if self.axis_parent is None or self.point_parent_m is None:
-            return self
-        p_child = self.forward(_middle(self.state_min, self.state_max))[:3, 3]
-        along = self.axis_parent @ (p_child - self.point_parent_m)
-        return replace(self, point_parent_m=self.point_parent_m + along * self.axis_parent)
+__all__ = ["Joint", "KinematicTree", "connected_bodies"]
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -157,9 +33,9 @@ class KinematicTree:
         warnings: plain sentences.
 
     Raises:
-        InvalidData: for names that aren't distinct slugs, groups that overlap or name unknown parts, trees that don't
-            hold each body once, joints between unknown bodies or different trees, a body with two parents, a loop, a
-            tree that its joints don't connect, a root that isn't one.
+        InvalidData: for names that aren't distinct slugs, joints with the same names of states, groups that overlap or
+            name unknown parts, trees that don't hold each body once, joints between unknown bodies or different trees,
+            a body with two parents, a loop, a tree that its joints don't connect, a root that isn't one.
     """
 
     root: str
@@ -178,6 +54,7 @@ class KinematicTree:
         object.__setattr__(self, "method", dict(self.method))
         check_slugs(self.parts, "part")
         check_slugs([joint.name for joint in self.joints], "joint")
+        check_slugs(self.columns, "state of a joint")
         _check_groups(self)
         _check_bodies(self)
         _check_joints(self)
@@ -199,8 +76,18 @@ class KinematicTree:
 
     @property
     def movable(self) -> tuple[Joint, ...]:
-        """The joints that have a state, in their order: the columns of a joint log."""
+        """The joints that have a state, in their order."""
         return tuple(joint for joint in self.joints if joint.kind.states)
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """The columns of a joint log: `Joint.columns` of each joint, in their order."""
+        return tuple(column for joint in self.joints for column in joint.columns)
+
+    @property
+    def units(self) -> dict[str, str]:
+        """Unit of each of `columns`, "rad" or "m"."""
+        return {column: joint.unit for joint in self.joints for column in joint.columns}
 
     def joint(self, name: str) -> Joint:
         """The joint of that name; raises InvalidData if there is none."""
@@ -229,8 +116,8 @@ class KinematicTree:
         """Poses of the bodies that hang from a root.
 
         Args:
-            q: states [rad or m] by joint, (...,) each, broadcast against each other; or one array (..., J), a column
-                for each of `movable`. A mapping needs no more than the joints below `start`.
+            q: states [rad or m] by joint, (...,) each, or (..., 3) of a spherical one, broadcast against each other; or
+                one array (..., C), as `columns` says. A mapping needs no more than the joints below `start`.
             start: the body to begin from; the root if None. Bodies of another tree have no pose in the root: begin from
                 that tree's own root.
 
@@ -251,7 +138,7 @@ class KinematicTree:
             raise InvalidData(f"no state of {', '.join(missing)}; have {', '.join(states) or 'none'}")
         poses = {start: se3.identity(*batch)}
         for joint in joints:
-            state = np.broadcast_to(states.get(joint.name, np.zeros(())), batch)
+            state = np.broadcast_to(states.get(joint.name, np.zeros(())), batch + joint.kind.state_shape)
             poses[joint.child] = poses[joint.parent] @ joint.forward(state)
         return poses
 
@@ -259,22 +146,43 @@ class KinematicTree:
         """The same tree told from another body: for the same states the same relative motion of all bodies.
 
         The joints on the way from `new_root` to the root of its tree are reversed (`Joint.reversed`). Names and order
-        of the joints stay, so that states keep their meaning. In a forest the other trees stay.
+        of the joints stay, so that states keep their meaning, but for those of spherical joints: see `rerooted_states`.
+        In a forest the other trees stay.
 
         Raises:
             InvalidData: if `new_root` is not the named part of a body.
         """
+        turning = self._turning(new_root)
+        joints = tuple(joint.reversed() if joint.name in turning else joint for joint in self.joints)
+        return replace(self, root=new_root, joints=joints)
+
+    def rerooted_states(self, new_root: str, q: ArrayLike) -> FloatArray:
+        """States (..., C), as `columns` says, of `rerooted(new_root)` that stand for these of this tree.
+
+        Raises:
+            InvalidData: if `new_root` is not the named part of a body; for another number of columns.
+        """
+        states, batch = self._states(np.asarray(q, dtype=np.float64))
+        turning = self._turning(new_root)
+        found = [np.zeros((*batch, 0))]
+        for joint in self.movable:
+            state = states[joint.name]
+            told = joint.reversed_states(state) if joint.name in turning else state
+            found.append(told.reshape(*batch, joint.kind.states))
+        return np.concatenate(found, axis=-1)
+
+    def _turning(self, new_root: str) -> set[str]:
+        """Joints that are reversed for a new root."""
         if new_root not in self.bodies:
             where = f" (its body is '{self.body_of(new_root)}')" if new_root in self.parts else ""
             raise InvalidData(f"'{new_root}' is no body{where}; have {', '.join(self.bodies)}")
         above = {joint.child: joint for joint in self.joints}
-        to_reverse: set[str] = set()
+        found: set[str] = set()
         body = new_root
         while body in above:
-            to_reverse.add(above[body].name)
+            found.add(above[body].name)
             body = above[body].parent
-        joints = tuple(joint.reversed() if joint.name in to_reverse else joint for joint in self.joints)
-        return replace(self, root=new_root, joints=joints)
+        return found
 
     def _states(self, q: Mapping[str, ArrayLike] | ArrayLike) -> tuple[dict[str, FloatArray], tuple[int, ...]]:
         """States by joint, and the shape that they broadcast to."""
@@ -283,12 +191,26 @@ class KinematicTree:
             if unknown:
                 raise InvalidData(f"no joint '{unknown[0]}'; have {', '.join(j.name for j in self.joints) or 'none'}")
             states = {name: np.asarray(state, dtype=np.float64) for name, state in q.items()}
-            return states, np.broadcast_shapes(*(state.shape for state in states.values()))
+            return states, np.broadcast_shapes(*(self._batch(name, state) for name, state in states.items()))
         columns = np.asarray(q, dtype=np.float64)
-        names = [joint.name for joint in self.movable]
-        if columns.ndim == 0 or columns.shape[-1] != len(names):
-            raise InvalidData(f"states have shape {columns.shape}; want (..., {len(names)}): {', '.join(names)}")
-        return {name: columns[..., i] for i, name in enumerate(names)}, columns.shape[:-1]
+        if columns.ndim == 0 or columns.shape[-1] != len(self.columns):
+            want = f"(..., {len(self.columns)}): {', '.join(self.columns)}"
+            raise InvalidData(f"states have shape {columns.shape}; want {want}")
+        ends = np.cumsum([joint.kind.states for joint in self.movable], dtype=int).tolist()
+        told = {
+            joint.name: columns[..., end - joint.kind.states : end].reshape(
+                (*columns.shape[:-1], *joint.kind.state_shape)
+            )
+            for joint, end in zip(self.movable, ends, strict=True)
+        }
+        return told, columns.shape[:-1]
+
+    def _batch(self, name: str, state: FloatArray) -> tuple[int, ...]:
+        """Shape of a joint's states without that of one state."""
+        own = self.joint(name).kind.state_shape
+        if state.shape[state.ndim - len(own) :] != own:
+            raise InvalidData(f"states of '{name}' have shape {state.shape}; want (..., {own[0]}): a rotation vector")
+        return state.shape[: state.ndim - len(own)]
 
 
 def connected_bodies(bodies: Sequence[str], joints: Sequence[Joint]) -> tuple[tuple[str, ...], ...]:
@@ -300,68 +222,6 @@ def connected_bodies(bodies: Sequence[str], joints: Sequence[Joint]) -> tuple[tu
             tree_of.update((body, joined) for body in joined)
     firsts = {id(tree): tree for tree in tree_of.values()}
     return tuple(tuple(body for body in bodies if body in tree) for tree in firsts.values())
-
-
-def _middle(low: float | None, high: float | None) -> float:
-    return 0.0 if low is None or high is None else 0.5 * (low + high)
-
-
-def _moved_point(T: FloatArray, p: FloatArray | None) -> FloatArray | None:
-    return None if p is None else T[:3, :3] @ p + T[:3, 3]
-
-
-def _check_ends(joint: Joint) -> None:
-    check_slugs((joint.parent,), "part")
-    check_slugs((joint.child,), "part")
-    if joint.parent == joint.child:
-        raise InvalidData(f"joint '{joint.name}' has '{joint.parent}' at both ends")
-    if joint.type not in JOINT_TYPES:
-        raise InvalidData(f"joint '{joint.name}' has the type '{joint.type}'; want one of {', '.join(JOINT_TYPES)}")
-
-
-def _check_geometry(joint: Joint) -> None:
-    kind, what = joint.kind, f"joint '{joint.name}' ({joint.type})"
-    needs = {"axis_parent": kind.has_axis, "point_parent_m": kind.has_point}
-    for name, needed in needs.items():
-        value: FloatArray | None = getattr(joint, name)
-        if (value is not None) != needed:
-            raise InvalidData(f"{what}: {name} is {'missing' if needed else 'given'}; the type {_needs(needed)}")
-        if value is not None and (value.shape != (3,) or not np.all(np.isfinite(value))):
-            raise InvalidData(f"{what}: {name} is {value.tolist()}; want three finite numbers")
-    needs_pitch = kind.form_freedoms > 0
-    if (joint.pitch_m_per_rad is not None) != needs_pitch:
-        given = "missing" if needs_pitch else "given"
-        raise InvalidData(f"{what}: pitch_m_per_rad is {given}; the type {_needs(needs_pitch)}")
-    if joint.pitch_m_per_rad is not None and not np.isfinite(joint.pitch_m_per_rad):
-        raise InvalidData(f"{what}: pitch_m_per_rad is {joint.pitch_m_per_rad}; want a finite number")
-    if not _is_rigid_motion(joint.T_parent_child_zero):
-        raise InvalidData(
-            f"{what}: T_parent_child_zero is no rigid motion; want a (4, 4) pose whose rotation is one within "
-            f"{RIGID_TOLERANCE:g} and whose last row is 0 0 0 1"
-        )
-    try:
-        _ = joint.geometry
-    except InvalidData as error:
-        raise InvalidData(f"{what}: {error}") from None
-
-
-def _needs(needed: bool) -> str:
-    return "needs it" if needed else "has none"
-
-
-def _is_rigid_motion(T: FloatArray) -> bool:
-    if T.shape != (4, 4) or not np.all(np.isfinite(T)) or np.any(T[3] != (0, 0, 0, 1)):
-        return False
-    R = T[:3, :3]
-    return bool(np.abs(R.T @ R - np.eye(3)).max() < RIGID_TOLERANCE and np.linalg.det(R) > 0)
-
-
-def _check_range(joint: Joint, what: str, low: float | None, high: float | None) -> None:
-    given = [x for x in (low, high) if x is not None]
-    if given and not joint.kind.states:
-        raise InvalidData(f"joint '{joint.name}': a {joint.type} joint has no state, but {what} is given")
-    if not np.all(np.isfinite(given)) or (len(given) == 2 and given[0] > given[1]):
-        raise InvalidData(f"joint '{joint.name}': {what} from {low} to {high}; want finite numbers that don't fall")
 
 
 def _check_groups(tree: KinematicTree) -> None:

@@ -1,7 +1,8 @@
 """kinematics.json, schema kinematics/1: strict JSON to a KinematicTree and back; degrees and millimetres at this edge.
 
 A tree drawn by hand needs `schema`, `root`, `parts` and `joints`, and of a joint `name`, `type`, `parent`, `child`,
-`T_parent_child_zero` and what the type needs of `axis_parent` and `point_parent_m`; all else may be absent or null.
+`T_parent_child_zero` and what the type needs of `axis_parent`, `point_parent_m` and `pitch_m_per_rad`; all else may be
+absent or null.
 """
 
 from __future__ import annotations
@@ -50,6 +51,7 @@ class _Rms(_Strict):
 class _Std(_Strict):
     axis_deg: FiniteFloat | None = None
     point_mm: FiniteFloat | None = None
+    pitch_mm_per_rad: FiniteFloat | None = None
 
 
 class _Joint(_Strict):
@@ -147,8 +149,13 @@ def _joint_values(joint: Joint) -> dict[str, object]:
         "rms": {"rotation_deg": _degrees(joint.rms_rotation_rad), "translation_mm": _mm(joint.rms_translation_m)},
         "frames": joint.frames,
         "outliers": joint.outliers,
-        "std": {"axis_deg": _degrees(joint.axis_std_rad), "point_mm": _mm(joint.point_std_m)},
+        "std": {"axis_deg": _degrees(joint.axis_std_rad), "point_mm": _mm(joint.point_std_m)} | _pitch_std(joint),
     }
+
+
+def _pitch_std(joint: Joint) -> dict[str, float | None]:
+    """Of joints that have a pitch; the others don't mention it."""
+    return {"pitch_mm_per_rad": _mm(joint.pitch_std_m_per_rad)} if joint.kind.form_freedoms else {}
 
 
 def _to_joint(model: _Joint) -> Joint:
@@ -173,6 +180,7 @@ def _to_joint(model: _Joint) -> Joint:
         outliers=model.outliers,
         axis_std_rad=_radians(std.axis_deg),
         point_std_m=_metres(std.point_mm),
+        pitch_std_m_per_rad=_metres(std.pitch_mm_per_rad),
     )
     if state.unit is not None and state.unit != joint.unit:
         want = f"'{joint.unit}'" if joint.unit else "no state"

@@ -19,8 +19,9 @@ if TYPE_CHECKING:
     from station.kinematics.tree import Joint, KinematicTree
 
 S_TO_NS = 1e9
-# Length of an axis as it is drawn, m.
+# Length of an axis, and radius of a ball's centre, as they are drawn, m.
 AXIS_M = 0.12
+CENTRE_RADIUS_M = 0.008
 
 
 def append_detected(
@@ -31,7 +32,7 @@ def append_detected(
     Args:
         folder: the session's folder.
         detected: joint states at seconds since the session's start; NaN where a joint wasn't seen.
-        tree: with `poses`, draws each joint's axis where its parent was seen.
+        tree: with `poses`, draws each joint's axis, or a ball's centre, where its parent was seen.
         poses: the parts' poses in the camera's frame.
 
     Raises:
@@ -55,7 +56,7 @@ def _write(path: Path, recording_id: str, states: JointLog, tree: KinematicTree 
     _send_states(stream, states)
     if tree is not None and poses is not None:
         for joint, colour in zip(tree.joints, scene.colours(len(tree.joints)), strict=True):
-            _send_axis(stream, joint, poses, colour)
+            _send_place(stream, joint, poses, colour)
     stream.flush()
     stream.disconnect()
 
@@ -81,18 +82,24 @@ def _send_states(stream: rr.RecordingStream, detected: JointLog) -> None:
     stream.send_columns(DETECTED, indexes=[_times(detected.t_s)], columns=columns)
 
 
-def _send_axis(stream: rr.RecordingStream, joint: Joint, poses: PoseLog, colour: scene.Colour) -> None:
-    """The joint's axis as an arrow whenever its parent was seen; through the parent's origin where it has no point."""
-    if joint.axis_parent is None or joint.parent not in poses.parts:
+def _send_place(stream: rr.RecordingStream, joint: Joint, poses: PoseLog, colour: scene.Colour) -> None:
+    """The joint's axis as an arrow whenever its parent was seen, through the parent's origin where it has no point; a
+    ball's centre as a dot.
+    """
+    axis, point = joint.axis_parent, joint.point_parent_m
+    if (axis is None and point is None) or joint.parent not in poses.parts:
         return
     T_cam_parent = poses.T_ref_part[:, poses.parts.index(joint.parent)]
     seen = np.isfinite(T_cam_parent[:, 0, 0])
     T = T_cam_parent[seen]
-    point = np.zeros(3) if joint.point_parent_m is None else joint.point_parent_m
-    axis_cam = T[:, :3, :3] @ joint.axis_parent * AXIS_M
-    middle = T[:, :3, :3] @ point + T[:, :3, 3]
+    middle = T[:, :3, 3] if point is None else T[:, :3, :3] @ point + T[:, :3, 3]
     entity = f"{AXES}/{joint.name}"
-    look = rr.Arrows3D.from_fields(colors=[colour], labels=[joint.name])
+    if axis is None:
+        look: rr.AsComponents = rr.Points3D.from_fields(colors=[colour], labels=[joint.name], radii=[CENTRE_RADIUS_M])
+        columns = rr.Points3D.columns(positions=middle)
+    else:
+        axis_cam = T[:, :3, :3] @ axis * AXIS_M
+        look = rr.Arrows3D.from_fields(colors=[colour], labels=[joint.name])
+        columns = rr.Arrows3D.columns(origins=middle - axis_cam / 2, vectors=axis_cam)
     stream.log(entity, rr.CoordinateFrame(CAMERA_FRAME), look, static=True)
-    columns = rr.Arrows3D.columns(origins=middle - axis_cam / 2, vectors=axis_cam)
     stream.send_columns(entity, indexes=[_times(poses.t_s[seen])], columns=columns)

@@ -18,10 +18,18 @@ DETECTED = "detected by the camera"
 BAND = f"±{BAND_SIGMAS:.0f} std of the detection alone"
 
 
-def draw_detected(axes: Axes, t_s: FloatArray, state: FloatArray, std: FloatArray) -> None:
+def draw_detected(
+    axes: Axes,
+    t_s: FloatArray,
+    state: FloatArray,
+    std: FloatArray,
+    *,
+    colour: str = LIGHT.detected,
+    label: str = DETECTED,
+) -> None:
     """A detected state over time with its band; NaN where it was not seen."""
-    draw_line(axes, t_s, state, LIGHT.detected, width=1.2, label=DETECTED)
-    draw_band(axes, t_s, state, BAND_SIGMAS * std)
+    draw_line(axes, t_s, state, colour, width=1.2, label=label)
+    draw_band(axes, t_s, state, BAND_SIGMAS * std, colour=colour)
 
 
 def draw_line(axes: Axes, t_s: FloatArray, state: FloatArray, colour: str, *, width: float, label: str) -> None:
@@ -32,7 +40,9 @@ def draw_line(axes: Axes, t_s: FloatArray, state: FloatArray, colour: str, *, wi
     axes.plot(t_s[alone], state[alone], ".", color=colour, ms=1.5)
 
 
-def draw_band(axes: Axes, t_s: FloatArray, middle: FloatArray, reach: FloatArray) -> None:
+def draw_band(
+    axes: Axes, t_s: FloatArray, middle: FloatArray, reach: FloatArray, *, colour: str = LIGHT.detected
+) -> None:
     """A band of +-reach about the middle; nothing where the reach is unknown."""
     if np.any(np.isfinite(reach)):
-        axes.fill_between(t_s, middle - reach, middle + reach, color=LIGHT.detected, alpha=0.3, lw=0, label=BAND)
+        axes.fill_between(t_s, middle - reach, middle + reach, color=colour, alpha=0.3, lw=0, label=BAND)

@@ -14,6 +14,8 @@ if TYPE_CHECKING:
 
 Rows = list[list[str]]
 
+MM_PER_M, TURN = 1e3, 2 * np.pi
+
 MAX_COLUMNS = 100
 # Of rich's SIMPLE_HEAD: a space either side of a cell and one for the rule, none inside the outer edges.
 BETWEEN_CELLS, EDGES = 3, 2
@@ -64,7 +66,7 @@ def _tree_row(joint: Joint, name_width: int) -> list[str]:
     return [
         shortened(own_name(joint), name_width) or "-",
         f"{shortened(joint.parent, name_width)} > {shortened(joint.child, name_width)}",
-        joint.type,
+        type_text(joint),
         range_text(joint),
         "" if probability is None else f"{probability:.3f}",
         "" if joint.rms_rotation_rad is None else three_digits(float(np.degrees(joint.rms_rotation_rad))),
@@ -90,8 +92,14 @@ def own_name(joint: Joint) -> str:
     return "" if joint.name == f"{joint.parent}__{joint.child}" else joint.name
 
 
+def type_text(joint: Joint) -> str:
+    """The type; of a screw with its advance, "screw, 12.5 mm/turn"."""
+    pitch = joint.pitch_m_per_rad
+    return joint.type if pitch is None else f"{joint.type}, {three_digits(MM_PER_M * TURN * pitch)} mm/turn"
+
+
 def range_text(joint: Joint) -> str:
-    """The observed range, "-29 to 34 deg"; "" where there is none."""
+    """The observed range, "-29 to 34 deg"; of a ball that of its angle; "" where there is none."""
     unit = joint.kind.unit
     if unit is None or joint.state_min is None or joint.state_max is None:
         return ""

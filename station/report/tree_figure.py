@@ -11,7 +11,7 @@ from station.compare import UNIT_NAME, UNIT_SCALE
 from station.logs import JointLog
 from station.report.curves import draw_detected
 from station.report.style import LIGHT, WIDTH_IN, styled
-from station.report.tables import own_name, range_text, shortened
+from station.report.tables import own_name, range_text, shortened, type_text
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -24,19 +24,21 @@ PANEL_IN = 1.2
 INDENT_IN = 0.42
 # What a joint's label needs right of the deepest indent.
 LABEL_IN = 2.2
+# Of a ball's rotation vector.
+COMPONENT_COLOURS = {"x": LIGHT.detected, "y": LIGHT.viewing, "z": LIGHT.measured}
 
 
 def tree_figure(tree: KinematicTree, states: JointLog) -> Figure:
     """The kinematic graph beside its joints' states over time.
 
     Left, a box for each body with its trackers, each below its parent and indented by its depth; on the way from the
-    parent the joint with its type and observed range. Right, the state of each movable joint [deg or mm] with a band of
-    +-2 standard deviations.
+    parent the joint with its type and observed range. Right, the state of each movable joint [deg or mm], of a ball the
+    three of its rotation vector, with a band of +-2 standard deviations.
     """
     from matplotlib.figure import Figure
 
     placed = list(_placed(tree))
-    shown = [joint for joint in tree.joints if joint.name in states.joints]
+    shown = [joint for joint in tree.movable if set(joint.columns) <= set(states.joints)]
     height_in = 0.75 + max(ROW_IN * len(placed), PANEL_IN * max(len(shown), 1))
     with styled():
         figure = Figure(figsize=(WIDTH_IN, height_in))
@@ -109,13 +111,20 @@ def _body_label(tree: KinematicTree, body: str) -> str:
 
 def _joint_label(joint: Joint) -> str:
     name, extent = own_name(joint), range_text(joint)
-    return (f"{shortened(name, 16)}: " if name else "") + joint.type + (f", {extent}" if extent else "")
+    return (f"{shortened(name, 16)}: " if name else "") + type_text(joint) + (f", {extent}" if extent else "")
 
 
 def _draw_joint_states(axes: Axes, joint: Joint, states: JointLog) -> None:
-    column = states.joints.index(joint.name)
-    unit = states.units[column]
-    std = np.full(len(states.t_s), np.nan) if states.std is None else states.std[:, column]
-    draw_detected(axes, states.t_s, UNIT_SCALE[unit] * states.q[:, column], UNIT_SCALE[unit] * std)
-    axes.set_ylabel(f"[{UNIT_NAME[unit]}]")
+    scale, unit = UNIT_SCALE[joint.unit], UNIT_NAME[joint.unit]
+    several = len(joint.columns) > 1
+    for name, (component, colour) in zip(joint.columns, COMPONENT_COLOURS.items(), strict=False):
+        std = np.full(len(states.t_s), np.nan)
+        if states.std is not None:
+            std = scale * states.std[:, states.joints.index(name)]
+        look = {"colour": colour, "label": component} if several else {}
+        draw_detected(axes, states.t_s, scale * states.state(name), std, **look)
+    if several:
+        lines = [line for line in axes.get_lines() if line.get_label() in COMPONENT_COLOURS]
+        axes.legend(handles=lines, loc="lower right", bbox_to_anchor=(1, 0.97), ncols=3, frameon=False, fontsize=8)
+    axes.set_ylabel(f"[{unit}]")
     axes.set_title(f"{joint.name} ({joint.type})", loc="left", fontsize=8.5, pad=3)

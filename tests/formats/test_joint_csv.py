@@ -18,7 +18,7 @@ numbers = st.floats(allow_infinity=False, allow_nan=True)
 @examples
 def test_states_read_back_to_the_last_bit(q: np.ndarray, std: np.ndarray):
     t_s = np.array([0.1, np.nextafter(0.1, 1), 1 / 3, 1305031102.1753001])
-    log = JointLog(t_s, ("pan", "slide"), q, ("rad", "m"), std)
+    log = JointLog(t_s, ("pan", "slide"), q, ("rad", "m"), np.abs(std))
     again = parse_joint_states(format_joint_states(log), "joint_states.csv", {"pan": "rad", "slide": "m"})
     assert (again.joints, again.units) == (log.joints, log.units)
     np.testing.assert_array_equal(again.t_s, t_s)
@@ -60,7 +60,6 @@ def test_every_column_of_commands_is_a_joint():
     (
         ("", "is empty"),
         ("t_s,pan\n", "no data"),
-        ("t_s\n0\n", "columns t_s; want t_s, then a column for each joint"),
         ("time,pan\n0,1\n", "columns time,pan; want t_s, then a column for each joint"),
         ("t_s,Pan 1\n0,1\n", "column 'Pan 1' is no joint's name"),
         ("t_s,pan\n0,1\n2,1\n1,1\n", "row 4: t_s 1 follows 2; want rows in which times increase"),
@@ -73,6 +72,19 @@ def test_every_column_of_commands_is_a_joint():
 def test_a_bad_row_is_refused_with_its_number(parse, text: str, message: str):
     with pytest.raises(InvalidFile, match="joints.csv.*" + message):
         parse(text, "joints.csv")
+
+
+def test_the_states_of_a_tree_without_joints_are_its_times():
+    log = JointLog([0.0, 0.5], (), np.zeros((2, 0)), ())
+    again = parse_joint_states(format_joint_states(log), "joint_states.csv")
+    assert again.joints == () and again.t_s.tolist() == [0.0, 0.5]
+    with pytest.raises(InvalidFile, match="columns t_s; want t_s, then a column for each joint"):
+        parse_commands("t_s\n0\n", "commands.csv")
+
+
+def test_a_deviation_below_zero_is_refused_with_its_row():
+    with pytest.raises(InvalidFile, match="row 3: pan_std is -0\\.1; want 0 or more"):
+        parse_joint_states("t_s,pan,pan_std\n0,1,0.1\n1,1,-0.1\n", "joints.csv")
 
 
 def test_a_unit_that_is_none_is_refused():

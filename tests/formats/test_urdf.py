@@ -7,14 +7,15 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
 from station.errors import InvalidData, InvalidFile
-from station.formats.urdf import from_urdf, to_urdf
+from station.formats.urdf import from_urdf, to_urdf, urdf_values
 from station.kinematics import se3
+from station.kinematics.joints import JOINT_TYPES
 from station.kinematics.tree import Joint, KinematicTree
 
 examples = settings(max_examples=20, deadline=None)  # a loaded machine is no failure
-TYPES = ("revolute", "prismatic", "rigid")
 
 
 def random_joint(rng: np.random.Generator, name: str, kind: str, parent: str, child: str, **more: object) -> Joint:
@@ -24,15 +25,16 @@ def random_joint(rng: np.random.Generator, name: str, kind: str, parent: str, ch
         kind,
         parent,
         child,
-        None if kind == "rigid" else axis / np.linalg.norm(axis),
-        rng.normal(size=3) if kind == "revolute" else None,
+        axis / np.linalg.norm(axis) if JOINT_TYPES[kind].has_axis else None,
+        rng.normal(size=3) if JOINT_TYPES[kind].has_point else None,
         se3.exp(rng.normal(size=6) * 2),
+        pitch_m_per_rad=-0.03 if JOINT_TYPES[kind].form_freedoms else None,
         **more,  # type: ignore[arg-type]
     )
 
 
 def random_tree(seed: int) -> KinematicTree:
-    """base - shoulder - elbow - tip with all three types, a slide beside them, and limits of each kind."""
+    """base - shoulder - elbow - tip, a slide beside them, a bolt, a ball and a nut: all types, limits of each kind."""
     rng = np.random.default_rng(seed)
     joints = (
         random_joint(rng, "pan", "revolute", "base", "shoulder", limits=(-1.5, 2.5)),
@@ -41,8 +43,11 @@ def random_tree(seed: int) -> KinematicTree:
         random_joint(rng, "slide", "prismatic", "base", "drawer"),
         random_joint(rng, "lift", "prismatic", "drawer", "box", limits=(-0.1, 0.4)),
         random_joint(rng, "weld", "rigid", "box", "lid"),
+        random_joint(rng, "bolt", "screw", "lid", "nut", limits=(-20.0, 30.0)),
+        random_joint(rng, "ball", "spherical", "nut", "socket", state_min=0.0, state_max=1.0),
+        random_joint(rng, "thread", "screw", "socket", "cap"),
     )
-    parts = ("base", "shoulder", "elbow", "tip", "drawer", "box", "lid")
+    parts = ("base", "shoulder", "elbow", "tip", "drawer", "box", "lid", "nut", "socket", "cap")
     return KinematicTree("base", parts, (), (parts,), joints)
 
 
@@ -64,9 +69,10 @@ def test_an_independent_reader_gets_the_same_forward_kinematics(seed: int):
     urdf = yourdfpy.URDF.load(io.BytesIO(text.encode()), load_meshes=False, build_scene_graph=True)
     rng = np.random.default_rng(seed)
     for _ in range(5):
-        q = {name: rng.uniform(-0.1, 0.4) for name in urdf.actuated_joint_names}
-        assert set(q) == {movable.name for movable in tree.movable}
-        urdf.update_cfg(q)
+        q = rng.uniform(-0.1, 0.4, len(tree.columns))
+        values = {name: float(value) for name, value in urdf_values(tree, q).items()}
+        assert set(urdf.actuated_joint_names) == set(values)
+        urdf.update_cfg(values)
         for part, T_base_part in tree.forward(q).items():
             np.testing.assert_allclose(urdf.get_transform(part, "base"), T_base_part, atol=1e-12)
 
@@ -76,9 +82,10 @@ def test_an_independent_reader_gets_limits_and_types(seed: int):
     yourdfpy = pytest.importorskip("yourdfpy")
     text = to_urdf(random_tree(seed), "made_up")
     joints = yourdfpy.URDF.load(io.BytesIO(text.encode()), load_meshes=False).joint_map
-    assert [joints[name].type for name in ("pan", "turn", "slide", "weld")] == [
-        *("revolute", "continuous", "prismatic", "fixed"),
+    assert [joints[name].type for name in ("pan", "turn", "slide", "weld", "bolt", "thread", "ball-roll")] == [
+        *("revolute", "continuous", "prismatic", "fixed", "revolute", "continuous", "continuous"),
     ]
+    assert (joints["bolt-advance"].limit.lower, joints["bolt-advance"].limit.upper) == pytest.approx((-0.9, 0.6))
     assert (joints["pan"].limit.lower, joints["pan"].limit.upper) == (-1.5, 2.5)
     assert (joints["bend"].limit.lower, joints["bend"].limit.upper) == (-0.5, 1.0)
     assert joints["turn"].limit is None
@@ -99,7 +106,45 @@ def test_a_tree_reads_back_as_it_was(seed: int):
             np.testing.assert_array_equal(after.axis_parent, before.axis_parent)
         if before.point_parent_m is not None:
             np.testing.assert_array_equal(after.point_parent_m, before.point_parent_m)
-    assert [j.limits for j in again.joints] == [(-1.5, 2.5), (-0.5, 1.0), None, None, (-0.1, 0.4), None]
+        assert after.pitch_m_per_rad == before.pitch_m_per_rad
+    assert [joint.limits for joint in again.joints] == [
+        *((-1.5, 2.5), (-0.5, 1.0), None, None, (-0.1, 0.4), None, (-20.0, 30.0), None, None),
+    ]
+
+
+def test_values_come_in_batches_also_where_the_angles_lock():
+    ball = Joint("ball", "spherical", "a", "b", None, np.zeros(3), np.eye(4))
+    tree = KinematicTree("a", ("a", "b"), (), (("a", "b"),), (ball,))
+    q = np.array([[0.1, -2.0, 0.3], [0.0, np.pi / 2, 0.0], [3.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
+    values = urdf_values(tree, q)
+    angles = np.stack([values[f"ball-{name}"] for name in ("yaw", "pitch", "roll")], axis=-1)
+    expected = Rotation.from_rotvec(q).as_matrix()
+    np.testing.assert_allclose(Rotation.from_euler("ZYX", angles).as_matrix(), expected, atol=1e-14)
+
+
+ALIKE = """<joint name="n" type="continuous"><parent link="base"/><child link="n-axis"/><axis xyz="0 0 1"/></joint>
+<joint name="n-advance" type="prismatic"><parent link="n-axis"/><child link="n-advanced"/><axis xyz="{axis}"/>
+<limit lower="-1" upper="1" effort="1" velocity="1"/><mimic joint="{of}" multiplier="0.1" offset="{offset}"/></joint>
+<joint name="n-zero" type="fixed"><parent link="n-advanced"/><child link="tip"/></joint>"""
+
+
+@pytest.mark.parametrize(("of", "axis", "offset"), (("n", "0 1 0", "0"), ("m", "0 0 1", "0"), ("n", "0 0 1", "0.5")))
+def test_what_mimics_but_is_no_screw_is_refused(of: str, axis: str, offset: str):
+    links = "".join(f'<link name="{name}"/>' for name in ("base", "n-axis", "n-advanced", "tip"))
+    with pytest.raises(InvalidFile, match="joint 'n-advance' mimics another"):
+        from_urdf(f'<robot name="r">{links}{ALIKE.format(of=of, axis=axis, offset=offset)}</robot>', "r.urdf")
+    screw = from_urdf(f'<robot name="r">{links}{ALIKE.format(of="n", axis="0 0 1", offset="0")}</robot>', "r.urdf")
+    assert [(joint.type, joint.pitch_m_per_rad) for joint in screw.joints] == [("screw", 0.1)]
+
+
+def test_three_hinges_that_do_not_meet_are_no_ball():
+    ball = Joint("ball", "spherical", "a", "b", None, np.zeros(3), np.eye(4))
+    text = to_urdf(KinematicTree("a", ("a", "b"), (), (("a", "b"),), (ball,)), "r")
+    assert [joint.type for joint in from_urdf(text, "r.urdf").joints] == ["spherical"]
+    roll = '<joint name="ball-roll" type="continuous">\n    <origin xyz="0.0 0.0 0.0"'
+    assert roll in text
+    apart = from_urdf(text.replace(roll, roll.replace("0.0 0.0 0.0", "0.1 0.0 0.0")), "r.urdf")
+    assert [joint.type for joint in apart.joints] == ["revolute", "revolute", "revolute", "rigid"]
 
 
 @pytest.mark.parametrize("pitch", (np.pi / 2, -np.pi / 2, np.pi / 2 - 1e-9, np.pi / 2 + 1e-12, 1.0, 3.0))

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
 from station.errors import InvalidData
 from station.kinematics import se3
@@ -27,6 +28,7 @@ def random_joint(rng: np.random.Generator, parent: str, child: str, kind: str) -
         axis_parent=axis / np.linalg.norm(axis) if JOINT_TYPES[kind].has_axis else None,
         point_parent_m=rng.normal(size=3) if JOINT_TYPES[kind].has_point else None,
         T_parent_child_zero=se3.exp(rng.normal(size=6)),
+        pitch_m_per_rad=0.1 * rng.normal() if JOINT_TYPES[kind].form_freedoms else None,
         state_min=-0.4 if JOINT_TYPES[kind].states else None,
         state_max=1.0 if JOINT_TYPES[kind].states else None,
     )
@@ -44,7 +46,12 @@ def random_tree(seed: int, size: int = 6) -> KinematicTree:
 
 def states(tree: KinematicTree, seed: int, *batch: int) -> dict[str, np.ndarray]:
     rng = np.random.default_rng(seed)
-    return {joint.name: rng.uniform(-3, 3, batch) for joint in tree.movable}
+    return {joint.name: rng.uniform(-3, 3, (*batch, *joint.kind.state_shape)) for joint in tree.movable}
+
+
+def columns_of(tree: KinematicTree, q: dict[str, np.ndarray], *batch: int) -> np.ndarray:
+    """(*batch, C) states as an array."""
+    return np.concatenate([q[joint.name].reshape(*batch, joint.kind.states) for joint in tree.movable], axis=-1)
 
 
 def hinge(name: str = "hinge", parent: str = "base", child: str = "lid", **changes: object) -> Joint:
@@ -58,6 +65,11 @@ def hinge(name: str = "hinge", parent: str = "base", child: str = "lid", **chang
         "T_parent_child_zero": se3.translation([3.0, 0, 0.5]),
     }
     return Joint(**(values | changes))  # type: ignore[arg-type]
+
+
+def ball(name: str = "ball", parent: str = "base", child: str = "lid") -> Joint:
+    zero = se3.pose(se3.exp_so3([0.1, 0.2, 0.3]), [3, 0, 0.5])
+    return hinge(name, parent, child, type="spherical", axis_parent=None, T_parent_child_zero=zero)
 
 
 def small_tree(**changes: object) -> KinematicTree:
@@ -99,9 +111,10 @@ def test_forward_is_the_product_of_the_joints_on_the_way(seed: int):
 
 
 def test_forward_takes_batches_and_columns_alike():
-    tree = random_tree(5)
+    tree = random_tree(10)
+    assert {joint.type for joint in tree.joints} == {"rigid", "prismatic", "revolute", "screw", "spherical"}
     q = states(tree, 6, 4, 3)
-    columns = np.stack([q[joint.name] for joint in tree.movable], axis=-1)
+    columns = columns_of(tree, q, 4, 3)
     by_name, by_column = tree.forward(q), tree.forward(columns)
     one = tree.forward(columns[2, 1])
     for part in tree.parts:
@@ -149,12 +162,52 @@ def test_rerooting_keeps_every_relative_pose(seed: int, new_root: int):
     tree = random_tree(seed)
     turned = tree.rerooted(f"p{new_root}")
     assert turned.root == f"p{new_root}"
-    q = states(tree, seed, 2)
-    before, after = tree.forward(q), turned.forward(q)
+    q = columns_of(tree, states(tree, seed, 2), 2) if tree.movable else np.zeros((2, 0))
+    before, after = tree.forward(q), turned.forward(tree.rerooted_states(f"p{new_root}", q))
     for a in tree.parts:
         for b in tree.parts:
             expected = se3.inverse(before[a]) @ before[b]
             np.testing.assert_allclose(se3.inverse(after[a]) @ after[b], expected, atol=1e-9)
+
+
+def test_states_of_joints_with_an_axis_stay_when_a_tree_is_rerooted():
+    tree = KinematicTree("a", ("a", "b", "c"), (), (("a", "b", "c"),), (hinge("ab", "a", "b"), ball("bc", "b", "c")))
+    q = np.array([0.1, 0.2, 0.3, 0.4])
+    np.testing.assert_array_equal(tree.rerooted_states("b", q), q)
+    moved = tree.rerooted_states("c", q)
+    assert moved[0] == q[0]
+    np.testing.assert_allclose(moved[1:], -Rotation.from_rotvec([0.1, 0.2, 0.3]).inv().apply(q[1:]), atol=1e-15)
+    np.testing.assert_allclose(tree.rerooted("c").rerooted_states("a", moved), q, atol=1e-15)
+
+
+@given(seeds)
+@examples
+def test_a_reversed_screw_has_the_same_hand_and_the_same_states(seed: int):
+    joint = random_joint(np.random.default_rng(seed), "base", "lid", "screw")
+    turned = joint.reversed()
+    assert turned.pitch_m_per_rad == joint.pitch_m_per_rad
+    q = np.array([-9.0, 0.4, 7.0])
+    np.testing.assert_allclose(turned.forward(q), se3.inverse(joint.forward(q)), atol=1e-12)
+    np.testing.assert_allclose(joint.with_sign(-1).forward(-q), joint.forward(q), atol=1e-12)
+
+
+def test_a_ball_turns_its_child_about_the_centre_by_the_rotation_vector():
+    q = np.array([0.0, 0.0, np.pi / 2])
+    np.testing.assert_allclose(
+        ball().forward(q), se3.pose(se3.exp_so3(q) @ se3.exp_so3([0.1, 0.2, 0.3]), [1, 2, 0.5]), atol=1e-15
+    )
+    assert ball().with_sign(-1).forward(q) == pytest.approx(ball().forward(q))  # a ball has no sign
+
+
+def test_columns_name_each_state_with_its_unit():
+    weld = hinge("weld", "b", "c", type="rigid", axis_parent=None, point_parent_m=None)
+    slide = hinge("slide", "c", "d", type="prismatic", point_parent_m=None)
+    bodies = tuple("abcd")
+    tree = KinematicTree("a", bodies, (), (bodies,), (ball("ab", "a", "b"), weld, slide))
+    assert tree.columns == ("ab_x", "ab_y", "ab_z", "slide")
+    assert tree.units == {"ab_x": "rad", "ab_y": "rad", "ab_z": "rad", "slide": "m"}
+    with pytest.raises(InvalidData, match="state of a joint named twice: ab_x"):
+        KinematicTree("a", tuple("abc"), (), (tuple("abc"),), (ball("ab", "a", "b"), hinge("ab_x", "b", "c")))
 
 
 @given(seeds)
@@ -238,6 +291,9 @@ def test_a_tree_is_frozen_and_travels_to_other_processes():
         ({"type": "prismatic"}, "point_parent_m is given; the type has none"),
         ({"type": "rigid", "point_parent_m": None}, "axis_parent is given; the type has none"),
         ({"pitch_m_per_rad": 0.1}, "pitch_m_per_rad is given"),
+        ({"type": "screw"}, "pitch_m_per_rad is missing; the type needs it"),
+        ({"type": "screw", "pitch_m_per_rad": np.inf}, "pitch_m_per_rad is inf"),
+        ({"type": "spherical"}, "axis_parent is given; the type has none"),
         ({"T_parent_child_zero": np.eye(3)}, "no rigid motion"),
         ({"T_parent_child_zero": 1.001 * np.eye(4)}, "no rigid motion"),
         ({"T_parent_child_zero": np.diag([1, 1, -1, 1])}, "no rigid motion"),
@@ -294,6 +350,8 @@ def test_states_that_fit_no_joint_are_refused():
         tree.forward({})
     with pytest.raises(InvalidData, match=r"shape \(2,\); want \(..., 1\): hinge"):
         tree.forward([0.0, 0.0])
+    with pytest.raises(InvalidData, match=r"states of 'ball' have shape \(2,\); want \(..., 3\): a rotation vector"):
+        small_tree(joints=(ball(),)).forward({"ball": [0.0, 0.0]})
     with pytest.raises(InvalidData, match="no body 'base_b'"):
         tree.forward([0.0], start="base_b")
 

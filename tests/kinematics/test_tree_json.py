@@ -136,6 +136,31 @@ def test_a_joint_that_has_no_axis_point_or_state_says_null():
     assert slide["std"] == {"axis_deg": None, "point_mm": None}
 
 
+def test_a_screw_has_its_pitch_and_a_ball_no_axis_and_the_range_of_its_angle():
+    rng = np.random.default_rng(1)
+    zeros = [se3.exp(rng.normal(size=6)) for _ in range(2)]
+    bolt = Joint(
+        *("bolt", "screw", "base", "nut", np.array([0.0, 0.6, 0.8]), rng.normal(size=3), zeros[0]),
+        pitch_m_per_rad=0.002,
+        state_min=-3.0,
+        state_max=20.0,
+        pitch_std_m_per_rad=1e-5,
+    )
+    ball = Joint("ball", "spherical", "nut", "cap", None, rng.normal(size=3), zeros[1], state_min=0.0, state_max=1.5)
+    bodies = ("base", "nut", "cap")
+    tree = KinematicTree("base", bodies, (), (bodies,), (bolt, ball))
+    first, second = json.loads(to_json(tree))["joints"]
+    assert (first["pitch_m_per_rad"], first["state"]) == (0.002, {"unit": "rad", "min": -3.0, "max": 20.0})
+    assert first["std"] == {"axis_deg": None, "point_mm": None, "pitch_mm_per_rad": pytest.approx(0.01)}
+    assert (second["axis_parent"], second["pitch_m_per_rad"]) == (None, None)
+    assert second["state"] == {"unit": "rad", "min": 0.0, "max": 1.5}
+    assert list(second["std"]) == ["axis_deg", "point_mm"]
+    again = from_json(to_json(tree), "kinematics.json")
+    assert again.joint("bolt").pitch_std_m_per_rad == pytest.approx(1e-5)
+    q = np.array([7.0, 0.1, -0.2, 0.3])
+    np.testing.assert_array_equal(again.forward(q)["cap"], tree.forward(q)["cap"])
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     (
@@ -160,6 +185,8 @@ def test_a_joint_that_has_no_axis_point_or_state_says_null():
         ),
         (changed(None, "joints", 0, "axis_parent"), "axis_parent is missing; the type needs it"),
         (changed("screwy", "joints", 0, "type"), "type 'screwy'; want one of rigid"),
+        (changed("screw", "joints", 0, "type"), "pitch_m_per_rad is missing; the type needs it"),
+        (changed("spherical", "joints", 0, "type"), "axis_parent is given; the type has none"),
         (changed("m", "joints", 0, "state", "unit"), "state in 'm'; want 'rad' for a revolute joint"),
         (changed(3, "joints", 0, "scores", "criterion"), "scores.criterion is 3.0; want a name"),
         (changed("best", "joints", 0, "scores", "rigid"), 'scores.rigid is "best"; want a number or null'),

@@ -17,6 +17,7 @@ and a start for a fit; everything else follows.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -30,6 +31,9 @@ from station.logs import FloatArray, frozen_floats
 # Dimensionless: an axis whose length differs from 1 by more than this is not a direction but a mistake.
 AXIS_LENGTH_TOLERANCE = 1e-6
 Z = np.array([0.0, 0.0, 1.0])
+# A tracker's error of position over its error of orientation: what the two are weighed by where both tell a state and
+# no noise is known.
+BALANCE_M = 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,9 +131,28 @@ class JointType(ABC):
     form_freedoms: ClassVar[int] = 0
     limit: ClassVar[str | None] = None
 
+    @property
+    def state_shape(self) -> tuple[int, ...]:
+        """Shape of one state as `forward` takes it: () for a number, else (s,)."""
+        return (self.states,) if self.states > 1 else ()
+
     def is_degenerate(self, frames: JointFrames, travel: FloatArray) -> NDArray[np.bool_]:
         """(...,) whether joints with this travel [unit] can't be told from the type's `limit` by real measurements."""
         return np.zeros(np.shape(travel), dtype=bool)
+
+    def no_more_than(
+        self, frames: JointFrames, travels: FloatArray, oriented: NDArray[np.bool_]
+    ) -> Mapping[str, NDArray[np.bool_]]:
+        """Simpler types by name, and which joints (...,) real measurements can't tell from them.
+
+        Errors of trackers are systematic: what follows them fits better than the simpler type, and means nothing.
+
+        Args:
+            frames: (...).
+            travels: (..., s) ranges of the states along their principal directions, the longest first [unit].
+            oriented: (...,) whether orientations were measured.
+        """
+        return {}
 
     @abstractmethod
     def axis_motion(self, q: FloatArray, form: FloatArray) -> FloatArray:
@@ -155,15 +178,58 @@ class JointType(ABC):
     def axis_state_of_position(self, p_axis: FloatArray, zero_axis: FloatArray, form: FloatArray) -> FloatArray:
         """(..., s) state that brings the position `zero_axis` (..., 3) nearest `p_axis` (..., 3), in the axis frame."""
 
+    def over_time(
+        self, q: FloatArray, p_axis: FloatArray, zero_axis: FloatArray, form: FloatArray, weights: FloatArray
+    ) -> FloatArray:
+        """(..., T, s) states for a start, where one frame alone may not tell which of several it is in.
+
+        Args:
+            q: (..., T, s) by `axis_state` or `axis_state_of_position`, each frame by itself.
+            p_axis: (..., T, 3) measured positions in the axis frame.
+            zero_axis: (..., 3) position at the state 0.
+            form: (..., m).
+            weights: (..., T) how far frames are to be trusted.
+        """
+        return q
+
     def continuous(self, q: FloatArray) -> FloatArray:
         """(..., T, s) the same states without jumps of a full turn from frame to frame."""
         return np.unwrap(q, axis=-2) if self.unit == "rad" else q
 
     def nearest_turn(self, q: FloatArray, near: FloatArray) -> FloatArray:
         """(..., s) states q told by the full turn that brings them nearest to other states (..., s)."""
-        if self.unit != "rad":
-            return q
-        return near + np.arctan2(np.sin(q - near), np.cos(q - near))
+        return near + wrapped(q - near) if self.unit == "rad" else q
+
+    def extent(self, q: FloatArray) -> FloatArray:
+        """(...,) the number whose range and limits a tree tells of states q (..., s): the state itself."""
+        return q[..., 0]
+
+    def reversed(
+        self, frames: JointFrames, q: FloatArray, dq: FloatArray
+    ) -> tuple[JointFrames, FloatArray, FloatArray]:
+        """The joint seen from its child, with its states q (..., s) and their changes dq (..., s, k), as `moved` takes
+        them: T_child_parent = T_axis_child^-1 M(q)^-1 T_parent_axis^-1.
+        """
+        return JointFrames(se3.inverse(frames.T_axis_child), se3.inverse(frames.T_parent_axis), frames.form), -q, -dq
+
+    def upright(self, frames: JointFrames, q: FloatArray, dq: FloatArray) -> tuple[JointFrames, FloatArray, FloatArray]:
+        """The same motion with an axis frame that `geometry` tells in full, states and their changes likewise."""
+        return frames, q, dq
+
+    def from_zero(
+        self, frames: JointFrames, q: FloatArray, dq: FloatArray, zero: FloatArray
+    ) -> tuple[JointFrames, FloatArray, FloatArray]:
+        """The same motion with its zero where the state was `zero` (s,), states and their changes likewise."""
+        T_axis_child = self.axis_motion(zero, frames.form) @ frames.T_axis_child
+        return JointFrames(frames.T_parent_axis, T_axis_child, frames.form), q - zero, dq
+
+    def column_changes(self, q: FloatArray, dq: FloatArray) -> FloatArray:
+        """(..., s, k) changes of the numbers q (..., s) themselves by changes dq (..., s, k) as `moved` takes them."""
+        return dq
+
+    def column_information(self, q: FloatArray, information: FloatArray) -> FloatArray:
+        """(..., s, s) information about the numbers q (..., s) themselves, of that about changes of `moved`."""
+        return information
 
     @abstractmethod
     def starts(self, T_parent_child: FloatArray, weights: FloatArray) -> tuple[JointFrames, ...]:
@@ -196,6 +262,13 @@ class JointType(ABC):
         form = np.array([geometry.pitch_m_per_rad] if self.form_freedoms else [], dtype=np.float64)
         return JointFrames(T_parent_axis, se3.inverse(T_parent_axis) @ geometry.T_parent_child_zero, form)
 
+    def reversed_states(self, geometry: JointGeometry, q: FloatArray) -> FloatArray:
+        """States, as `forward` takes them, of the joint seen from its child (`Joint.reversed`): the same.
+
+        The axis turns round there, so that a state along or about it counts on.
+        """
+        return q
+
     def motion(self, geometry: JointGeometry, q: FloatArray) -> FloatArray:
         """(..., 4, 4) motion of the child from its zero pose, in the parent's frame: T(q) @ T(0)^-1."""
         frames = self.frames(geometry)
@@ -207,7 +280,7 @@ class JointType(ABC):
         return self.motion(geometry, q) @ geometry.T_parent_child_zero
 
     def inverse(self, geometry: JointGeometry, T_parent_child: FloatArray) -> FloatArray:
-        """State nearest to T_parent_child (..., 4, 4), as `forward` takes it; angles in (-pi, pi]."""
+        """State nearest to T_parent_child (..., 4, 4), as `forward` takes it; angles in (-pi, pi], but a screw's."""
         frames = self.frames(geometry)
         q = self.axis_state(se3.inverse(frames.T_parent_axis) @ T_parent_child, frames.T_axis_child, frames.form)
         return q if self.states > 1 else q.sum(axis=-1)
@@ -215,6 +288,11 @@ class JointType(ABC):
     def _columns(self, q: FloatArray) -> FloatArray:
         """(..., s) states as a fit has them of those of `forward`."""
         return q if self.states > 1 else np.repeat(q[..., None], self.states, axis=-1)
+
+
+def wrapped(angle: FloatArray) -> FloatArray:
+    """(...,) the same angle in (-pi, pi]."""
+    return np.arctan2(np.sin(angle), np.cos(angle))
 
 
 def weighted_mean(values: FloatArray, weights: FloatArray) -> FloatArray:
