@@ -12,6 +12,7 @@ from scipy.sparse.csgraph import minimum_spanning_tree
 from station.errors import InvalidData
 from station.logs import FloatArray
 
+BoolArray = NDArray[np.bool_]
 IntArray = NDArray[np.intp]
 
 # scipy's spanning tree takes a weight of zero for no edge: all weights are shifted so that the least is this.
@@ -46,6 +47,30 @@ def spanning_forest(nodes: int, pairs: IntArray, weights: FloatArray) -> IntArra
             f"the spanning tree of {nodes} parts in {trees} trees has {len(edges)} edges; want {nodes - trees}"
         )
     return edges
+
+
+def contenders(nodes: int, pairs: IntArray, weights: FloatArray, least: FloatArray) -> BoolArray:
+    """(P,) whether a pair could be an edge of the minimum spanning forest if it had its least weight instead.
+
+    It could if that is below the heaviest edge on the forest's path between its ends, or below 0 where there is none.
+
+    Args:
+        nodes: number of parts.
+        pairs: (P, 2).
+        weights: (P,).
+        least: (P,) not above `weights`.
+    """
+    edges = spanning_forest(nodes, pairs, weights)
+    heaviest = np.zeros((nodes, nodes))
+    tree = np.arange(nodes)
+    for edge in edges[np.argsort(weights[edges], kind="stable")]:  # Kruskal's order: later edges are heavier
+        one, other = (np.flatnonzero(tree == tree[end]) for end in pairs[edge])
+        heaviest[np.ix_(one, other)] = weights[edge]
+        heaviest[np.ix_(other, one)] = weights[edge]
+        tree[other] = tree[one[0]]
+    could: BoolArray = least < heaviest[pairs[:, 0], pairs[:, 1]]
+    could[edges] = True
+    return could
 
 
 def components(nodes: int, edges: IntArray) -> list[int]:

@@ -2,29 +2,24 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from station.fit.noise import given_noise, inverse_cholesky, unknown_noise
-from station.fit.pairwise import (
-    JointFit,
-    Model,
-    PairTracks,
-    fit_joint,
-    joint_jacobians,
-    model_poses,
-    parameter_covariance,
-    residual_jacobian,
-    residuals,
-    stepped,
-)
+from station.fit.pair_model import JointFit, Model, PairTracks, parameter_covariance, stepped_frames
+from station.fit.pair_residuals import errors, linearised
+from station.fit.pairwise import fit_joint
 from station.kinematics import se3
 from station.kinematics.joints import JOINT_TYPES, JointFrames, JointType
 from station.logs import FloatArray
 
 SIGMA_M, SIGMA_RAD = 0.003, 0.02
+WITH_AXIS = pytest.mark.parametrize("name", [name for name, joint in JOINT_TYPES.items() if joint.has_axis])
 MOVABLE = pytest.mark.parametrize("name", [name for name, joint in JOINT_TYPES.items() if joint.states])
-TRAVEL = {"rigid": 0.0, "prismatic": 0.2, "revolute": 1.0}
+TRAVEL = {"rigid": 0.0, "prismatic": 0.2, "revolute": 1.0, "screw": 4.0, "spherical": 1.2}
+PITCH_M = 0.03
 
 
 def angle_between(a: FloatArray, b: FloatArray) -> FloatArray:
@@ -45,9 +40,9 @@ def simulated_pairs(
     joint = JOINT_TYPES[name]
     of_parent = se3.exp(0.5 * rng.normal(size=(pairs, 6)))
     of_child = se3.pose(se3.exp_so3(rng.normal(size=(pairs, 3))), np.array([arm, 0, 0]))
-    q = (TRAVEL[name] if travel is None else travel) * (np.sort(rng.uniform(size=(pairs, frames))) - 0.5)
-    q = np.repeat(q[..., None], joint.states, axis=-1)
-    joints = JointFrames(of_parent, of_child, np.zeros((pairs, joint.form_freedoms)))
+    q = (TRAVEL[name] if travel is None else travel) * (rng.uniform(size=(pairs, frames, joint.states)) - 0.5)
+    q = np.sort(q, axis=1) if joint.states == 1 else q
+    joints = JointFrames(of_parent, of_child, np.full((pairs, joint.form_freedoms), PITCH_M))
     return joints, q, of_parent[:, None] @ joint.axis_motion(q, joints.form[:, None]) @ of_child[:, None]
 
 
@@ -64,44 +59,59 @@ def axis_error(fit: JointFit, truth: JointFrames) -> FloatArray:
     return angle_between(fit.model.frames.T_parent_axis[:, :3, 2], truth.T_parent_axis[:, :3, 2])
 
 
+def centre_error(fit: JointFit, truth: JointFrames) -> FloatArray:
+    """(P,) metres between the axis frames' origins."""
+    between = fit.model.frames.T_parent_axis[:, :3, 3] - truth.T_parent_axis[:, :3, 3]
+    return np.asarray(np.linalg.norm(between, axis=-1))
+
+
 def axis_std(fit: JointFit) -> FloatArray:
     """(P,) sqrt of the trace of the two directions' covariance."""
     variance = np.diagonal(parameter_covariance(fit.information), axis1=-2, axis2=-1)
     return np.sqrt(variance[:, [fit.joint.axis_freedoms.index(i) for i in (3, 4)]].sum(axis=-1))
 
 
-def numeric_jacobians(joint: JointType, model: Model, T_meas: FloatArray) -> tuple[FloatArray, FloatArray]:
+def numeric_jacobians(joint: JointType, model: Model, tracks: PairTracks) -> tuple[FloatArray, FloatArray]:
+    """(6, n, P, T) and (6, s, P, T) derivatives of whitened residuals by central differences."""
     step = 1e-6
     still, nothing = np.zeros_like(model.q), np.zeros((len(model.q), joint.parameters))
+    whitening = tracks.data.noise.whitening(model.scales)
 
     def at(delta: FloatArray, dq: FloatArray) -> FloatArray:
-        return residuals(T_meas, model_poses(joint, stepped(joint, model, delta, dq))[1])
+        moved = errors(joint, stepped_frames(joint, model.frames, delta), joint.moved(model.q, dq), tracks.data)
+        return whitening(moved.d, moved.e)
 
     def slope(delta: FloatArray, dq: FloatArray) -> FloatArray:
         return (at(step * delta, step * dq) - at(-step * delta, -step * dq)) / (2 * step)
 
     by_parameters = [slope(nothing + row, still) for row in np.eye(joint.parameters)]
     by_states = [slope(nothing, still + row) for row in np.eye(joint.states)]
-    empty = np.zeros((*T_meas.shape[:-2], 6, 0))
-    return np.stack(by_parameters, axis=-1), np.stack(by_states, axis=-1) if by_states else empty
+    empty = np.zeros((6, 0, *model.q.shape[:2]))
+    return np.stack(by_parameters, axis=1), np.stack(by_states, axis=1) if by_states else empty
 
 
 @pytest.mark.parametrize("name", JOINT_TYPES)
 @pytest.mark.parametrize(("size_m", "size_rad"), [(1e-3, 1e-2), (1e-9, 1e-2), (1e-2, 1e-9), (0.3, 2.0), (0.0, 0.0)])
 def test_jacobians_are_those_of_finite_differences(name: str, size_m: float, size_rad: float) -> None:
+    """The states' own directions, and those of the parameters without what the states take up."""
     rng, joint = np.random.default_rng(7), JOINT_TYPES[name]
     frames, q, T = simulated_pairs(rng, name, pairs=3, frames=4)
-    model = Model(frames, q, np.ones((3, 2)), np.full(3, 0.05))
     T_meas = T @ se3.exp(rng.normal(size=(3, 4, 6)) * np.repeat([size_m, size_rad], 3))
-    T_axis_child, T_model = model_poses(joint, model)
-    K = residual_jacobian(residuals(T_meas, T_model))
-    by_parameters, by_states = joint_jacobians(joint, model, T_axis_child)
-    numeric_parameters, numeric_states = numeric_jacobians(joint, model, T_meas)
-    np.testing.assert_allclose(K @ by_parameters, numeric_parameters, atol=1e-7)
-    np.testing.assert_allclose(K @ by_states[:, None], numeric_states, atol=1e-7)
+    tracks, one = tracks_of(T_meas), np.ones(3, dtype=bool)
+    tracks = replace(tracks, noise=unknown_noise(T_meas, one, one))
+    model = Model(frames, q, np.tile([0.5, 2.0], (3, 1)), np.full(3, 0.05), np.full(3, 0.01))
+    at, whitening = errors(joint, frames, q, tracks.data), tracks.data.noise.whitening(model.scales)
+    linear = linearised(joint, model, at, whitening, whitening(at.d, at.e))
+    by_parameters, by_states = numeric_jacobians(joint, model, tracks)
+    whole = linear.by_parameters - np.einsum("rspt,snpt->rnpt", by_states, linear.coupling)
+    np.testing.assert_allclose(whole, by_parameters, atol=1e-7)
+    information = np.einsum("rspt,rupt->ptsu", by_states, by_states)
+    np.testing.assert_allclose(linear.state_information, information, rtol=1e-6, atol=1e-7)
+    across = np.einsum("rspt,rnpt->snpt", by_states, linear.by_parameters)
+    np.testing.assert_allclose(across, 0.0, atol=1e-7)
 
 
-@MOVABLE
+@WITH_AXIS
 def test_axis_errors_are_as_large_as_their_deviations_say(name: str) -> None:
     rng = np.random.default_rng(8)
     truth, _, T = simulated_pairs(rng, name, pairs=60)
@@ -128,7 +138,8 @@ def test_noise_is_estimated_without_the_states_share(name: str) -> None:
     rng = np.random.default_rng(10)
     _, _, T = simulated_pairs(rng, name)
     fit = fit_joint(JOINT_TYPES[name], tracks_of(noisy(rng, T)), by_pose=True)
-    np.testing.assert_allclose(np.sqrt(fit.model.scales).mean(axis=0), [SIGMA_M, SIGMA_RAD], rtol=0.02)
+    # of 20 pairs, 0.1-0.3 % where six numbers a frame tell it; of the ball's three, arm and turn mix two
+    np.testing.assert_allclose(np.sqrt(fit.model.scales).mean(axis=0), [SIGMA_M, SIGMA_RAD], rtol=0.03)
 
 
 def test_a_noisy_parent_s_lever_is_no_position_noise() -> None:
@@ -152,10 +163,13 @@ def test_gross_outliers_are_found_and_do_no_harm(name: str, share: float) -> Non
     measured[wrong] = measured[wrong] @ se3.exp(rng.normal(size=(wrong.sum(), 6)) * np.repeat([0.2, 0.7], 3))
     fit = fit_joint(JOINT_TYPES[name], tracks_of(measured), by_pose=True)
     assert np.mean((fit.inlier < 0.5) == wrong) > 0.98
-    assert np.degrees(np.median(axis_error(fit, truth))) < 0.5
+    if fit.joint.has_axis:
+        assert np.degrees(np.median(axis_error(fit, truth))) < 0.5
+    else:
+        assert np.median(centre_error(fit, truth)) < 0.003  # m
 
 
-@MOVABLE
+@WITH_AXIS
 def test_positions_alone_tell_the_axis(name: str) -> None:
     rng = np.random.default_rng(13)
     truth, _, T = simulated_pairs(rng, name)

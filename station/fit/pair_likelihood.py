@@ -1,0 +1,70 @@
+"""How likely frames are: inliers, inliers with a wrong orientation, and outliers anywhere in the scene.
+
+    p = (1 - s) ((1 - f) N(r_v, r_w) + f N(r_v) / 8 pi^2) + s / (scene 8 pi^2)
+
+with a share s of outliers and a share f of the inliers whose orientation is wrong, such as a flat marker's that is
+taken for its mirror image. Both are estimated.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from station.fit.pair_data import PairData
+from station.fit.pair_model import ROTATION_VOLUME, Model
+from station.fit.whitening import Whitening
+from station.logs import FloatArray
+
+# Counts of frames in the Beta priors that keep shares off 0 and 1.
+PRIOR_OUT, PRIOR_IN = 0.5, 10.0
+
+
+@dataclass(frozen=True, eq=False)
+class Likelihood:
+    """Of P pairs in T frames, (P, T) each.
+
+    Attributes:
+        log_inside: log density of an inlier.
+        log_total: log density; 0 unseen.
+        inlier: probability that the frame is one; 0 unseen.
+        oriented: probability that an inlier's orientation is right.
+    """
+
+    log_inside: FloatArray
+    log_total: FloatArray
+    inlier: FloatArray
+    oriented: FloatArray
+
+    @property
+    def cost(self) -> FloatArray:
+        """(P,) -2 log likelihood."""
+        return -2 * self.log_total.sum(axis=-1)
+
+
+def likelihood(data: PairData, model: Model, whitening: Whitening, residual: FloatArray) -> Likelihood:
+    """Of whitened residuals (6, P, T)."""
+    share, flips = model.outlier_share[:, None], model.flip_share[:, None]
+    by_position = whitening.log_v - 0.5 * np.sum(residual[:3] ** 2, axis=0)
+    by_pose = by_position + whitening.log_w - 0.5 * np.sum(residual[3:] ** 2, axis=0)
+    inside, oriented = _either(np.log1p(-flips) + by_pose, np.log(flips / ROTATION_VOLUME) + by_position)
+    inside, oriented = np.where(data.oriented, inside, by_pose), np.where(data.oriented, oriented, 1.0)
+    total, inlier = _either(np.log1p(-share) + inside, np.log(share) + data.log_outlier)
+    return Likelihood(inside, total * data.seen, inlier * data.seen, oriented)
+
+
+def _either(a: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """log(exp(a) + exp(b)), and the share of the first; much faster than NumPy's logaddexp."""
+    smaller = np.exp(-np.abs(a - b))
+    whole = 1 + smaller
+    return np.maximum(a, b) + np.log(whole), np.where(a > b, 1.0, smaller) / whole
+
+
+def shares(data: PairData, seen: Likelihood) -> tuple[FloatArray, FloatArray]:
+    """Share of outliers (P,), and of the inliers with a wrong orientation (P,): posterior means."""
+    frames, inliers = data.seen.sum(axis=-1), seen.inlier.sum(axis=-1)
+    oriented = (seen.inlier * data.oriented).sum(axis=-1)
+    flipped = (seen.inlier * data.oriented * (1 - seen.oriented)).sum(axis=-1)
+    prior = PRIOR_OUT + PRIOR_IN
+    return (frames - inliers + PRIOR_OUT) / (frames + prior), (flipped + PRIOR_OUT) / (oriented + prior)

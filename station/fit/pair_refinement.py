@@ -1,0 +1,184 @@
+"""Least squares from a start: Gauss-Newton steps with Levenberg and Marquardt's damping, states projected out.
+
+Frames are weighted by the probability that they are inliers; the noise's scales and the shares of outliers and of wrong
+orientations are updated with each step. What becomes of a pair doesn't depend on those that are fitted beside it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from station.fit.entrywise import entries_last
+from station.fit.pair_data import PairData
+from station.fit.pair_likelihood import Likelihood, likelihood, shares
+from station.fit.pair_model import JointFit, Model, stepped_frames
+from station.fit.pair_residuals import Linear, errors, linearised, residual_of_poses, state_steps
+from station.fit.whitening import Projected, Whitening
+from station.kinematics.joints import JointType
+from station.logs import FloatArray
+
+IntArray = NDArray[np.intp]
+
+LM_ITERATIONS = 30
+# A pair is settled when a step promises to change its -2 log likelihood by less than this; 1 would be a standard
+# deviation.
+COST_TOLERANCE = 1e-3
+DAMPING_START, DAMPING_FALL, DAMPING_RISE, DAMPING_MIN, DAMPING_MAX = 1e-3, 0.2, 8.0, 1e-9, 1e8
+
+
+@dataclass(frozen=True, eq=False)
+class Progress:
+    """Models on their way.
+
+    Attributes:
+        model: P of them.
+        damping: (P,) of the next step.
+        cost: (P,) -2 log likelihood.
+        promise: (P,) by how much the last step promised to lower it.
+    """
+
+    model: Model
+    damping: FloatArray
+    cost: FloatArray
+    promise: FloatArray
+
+    def take(self, rows: IntArray) -> Progress:
+        """Some of the pairs."""
+        return Progress(self.model.take(rows), self.damping[rows], self.cost[rows], self.promise[rows])
+
+    def with_rows(self, rows: IntArray, some: Progress) -> Progress:
+        """With others for some of the pairs."""
+        arrays = [self.damping.copy(), self.cost.copy(), self.promise.copy()]
+        for array, changed in zip(arrays, (some.damping, some.cost, some.promise), strict=True):
+            array[rows] = changed
+        return Progress(self.model.with_rows(rows, some.model), *arrays)
+
+
+def begin(model: Model) -> Progress:
+    """Before the first step."""
+    P = len(model.q)
+    return Progress(model, np.full(P, DAMPING_START), np.full(P, np.inf), np.full(P, np.inf))
+
+
+def improve(
+    joint: JointType, data: PairData, progress: Progress, *, iterations: int, tolerance: FloatArray
+) -> Progress:
+    """Maximise the likelihood of parameters, states, noise scales and shares.
+
+    Args:
+        joint: the type.
+        data: of the pairs.
+        progress: where they are.
+        iterations: at most.
+        tolerance: (P,) a pair is settled when its step promises to lower its -2 log likelihood by no more than this.
+    """
+    for _ in range(iterations):  # each step starts where the last one ended
+        left = np.flatnonzero(progress.promise > tolerance)
+        if not left.size:
+            break
+        if len(left) == len(tolerance):
+            progress = _improved(joint, data, progress)
+        else:
+            progress = progress.with_rows(left, _improved(joint, data.take(left), progress.take(left)))
+    return progress
+
+
+def _improved(joint: JointType, data: PairData, progress: Progress) -> Progress:
+    """One damped Gauss-Newton step, where it is better, and new noise scales and shares."""
+    model = progress.model
+    whitening = data.noise.whitening(model.scales)
+    at = errors(joint, model.frames, model.q, data)
+    residual = whitening(at.d, at.e)
+    now = likelihood(data, model, whitening, residual)
+    trusted = whitening.trusting(now.oriented)
+    residual[3:] *= np.sqrt(now.oriented)
+    linear = linearised(joint, model, at, trusted, residual)
+    step, gain = _damped_step(linear, residual, now.inlier, progress.damping)
+    moved = replace(
+        model, frames=stepped_frames(joint, model.frames, step), q=joint.moved(model.q, linear.state_step(step))
+    )
+    moved, cost = _judged(joint, data, moved, whitening, trusted, now.cost)
+    better = cost <= now.cost
+    fitted, change = _with_noise(data, moved.where(better, model), now, linear, residual, trusted)
+    factor = np.where(better, DAMPING_FALL, DAMPING_RISE)
+    damping = np.clip(progress.damping * factor, DAMPING_MIN, DAMPING_MAX)
+    return Progress(fitted, damping, np.fmin(now.cost, cost), gain + change)
+
+
+def _damped_step(
+    linear: Linear, residual: FloatArray, weights: FloatArray, damping: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Step (P, n), its columns scaled to unit length, so that one damping suits metres and radians; and by how much it
+    and the states' own promise to lower chi squared (P,).
+    """
+    H, g = linear.normal_equations(residual, weights)
+    scale = np.sqrt(np.diagonal(H, axis1=-2, axis2=-1))
+    scale = np.where(scale > 0, scale, 1.0)
+    scaled = H / (scale[:, :, None] * scale[:, None, :]) + damping[:, None, None] * np.eye(H.shape[-1])
+    step = -np.linalg.solve(scaled, (g / scale)[..., None])[..., 0] / scale
+    along = np.einsum("rspt,rpt->spt", linear.states, residual)
+    own = np.einsum("spt,spt,pt->p", along, along, weights)
+    return step, own - np.sum(g * step, axis=-1)
+
+
+def _judged(
+    joint: JointType, data: PairData, model: Model, whitening: Whitening, trusted: Whitening, before: FloatArray
+) -> tuple[Model, FloatArray]:
+    """The model and its cost (P,); where that is more than before, with the states that follow its parameters.
+
+    A long step in a curved valley is a good one once they do.
+    """
+    at = errors(joint, model.frames, model.q, data)
+    residual = whitening(at.d, at.e)
+    cost = likelihood(data, model, whitening, residual).cost
+    worse = np.flatnonzero(cost > before)
+    if not worse.size or not joint.states:
+        return model, cost
+    followed = replace(model, q=joint.moved(model.q, state_steps(joint, model.frames, at, trusted, residual)))
+    at = errors(joint, followed.frames, followed.q, data)
+    its_cost = likelihood(data, followed, whitening, whitening(at.d, at.e)).cost
+    better = (cost > before) & (its_cost < cost)
+    return followed.where(better, model), np.where(better, its_cost, cost)
+
+
+def _with_noise(
+    data: PairData, model: Model, now: Likelihood, linear: Linear, residual: FloatArray, trusted: Whitening
+) -> tuple[Model, FloatArray]:
+    """The model with new scales and shares, and by how much these lower -2 log likelihood (P,), about."""
+    measured = 3.0 * data.seen + 3.0 * data.oriented * now.oriented
+    projected = Projected(residual, linear.states, now.inlier, measured, linear.by_parameters.shape[1])
+    scales = data.noise.updated_scales(model.scales, trusted, projected)
+    outliers, flips = shares(data, now)
+    frames = now.inlier.sum(axis=-1)
+    change = 0.5 * np.sum(now.inlier * measured, axis=-1) * np.max(np.log(scales / model.scales) ** 2, axis=-1)
+    for share, before in ((outliers, model.outlier_share), (flips, model.flip_share)):
+        change += frames * (share - before) ** 2 / (before * (1 - before))
+    return replace(model, scales=scales, outlier_share=outliers, flip_share=flips), change
+
+
+def finished(joint: JointType, data: PairData, model: Model) -> JointFit:
+    """All that is known of the fit at a model."""
+    whitening = data.noise.whitening(model.scales)
+    at = errors(joint, model.frames, model.q, data)
+    residual = whitening(at.d, at.e)
+    now = likelihood(data, model, whitening, residual)
+    residual[3:] *= np.sqrt(now.oriented)
+    linear = linearised(joint, model, at, whitening.trusting(now.oriented), residual)
+    information, _ = linear.normal_equations(residual, now.inlier)
+    chi2 = np.sum(residual**2, axis=0)
+    left = residual_of_poses(at, data)
+    left[..., 3:] *= now.oriented[..., None]
+    return JointFit(
+        joint=joint,
+        model=model,
+        inlier=now.inlier,
+        chi2=chi2,
+        log_density=(now.log_inside + 0.5 * chi2) * data.seen,
+        state_information=linear.state_information * data.seen[..., None, None],
+        residual=left,
+        information=information,
+        coupling=np.ascontiguousarray(entries_last(linear.coupling, 2)),
+    )

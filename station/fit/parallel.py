@@ -1,0 +1,26 @@
+"""Runs a function over pieces of work on all cores that this program may use; NumPy lets go of the interpreter."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import TypeVar
+
+Work = TypeVar("Work")
+Result = TypeVar("Result")
+
+
+def cores() -> int:
+    """How many cores this program may use."""
+    affinity = getattr(os, "sched_getaffinity", None)
+    return len(affinity(0)) if affinity is not None else os.cpu_count() or 1
+
+
+def each(function: Callable[[Work], Result], work: Sequence[Work]) -> list[Result]:
+    """The function's results in the order of the work, which must not depend on each other."""
+    workers = min(cores(), len(work))
+    if workers <= 1:
+        return [function(piece) for piece in work]
+    with ThreadPoolExecutor(workers) as pool:
+        return list(pool.map(function, work))
