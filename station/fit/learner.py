@@ -12,16 +12,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from station.errors import InvalidData
-from station.fit.bodies import Group, bodies_of_log, fused_bodies, refined_mounts, scaled_by_part, with_reference
-from station.fit.comparison import MIN_FRAMES, PairTable, compare_pairs
+from station.fit.bodies import Group, bodies_of_log, scaled_by_part, with_reference
+from station.fit.comparison import MIN_FRAMES, PairTable, compare_pairs, edge_weights
+from station.fit.fusion import fused_bodies, refined_mounts
 from station.fit.options import FitOptions
 from station.fit.reading import JointReading
+from station.fit.result import Fit
 from station.fit.selection import check_criterion
 from station.fit.structure import components, outward, shallowest, spanning_forest
 from station.fit.subclusters import merged, singles
@@ -30,6 +31,7 @@ from station.kinematics.joints import JOINT_TYPES
 from station.kinematics.tree import Joint, KinematicTree
 from station.logs import FloatArray, JointLog, PoseLog
 
+BoolArray = NDArray[np.bool_]
 IntArray = NDArray[np.intp]
 
 METHODS = ("station",)
@@ -37,14 +39,6 @@ METHODS = ("station",)
 UNCERTAIN_AXIS_RAD = np.radians(5.0)
 # Less travel than this [rad, m] is what makes an axis uncertain; with more it is the noise.
 SMALL_TRAVEL = {"rad": np.radians(15.0), "m": 0.05}
-
-
-@dataclass(frozen=True, eq=False)
-class Fit:
-    """A learned tree, and its joints' states at the log's times; NaN where a joint wasn't seen or was an outlier."""
-
-    tree: KinematicTree
-    states: JointLog
 
 
 def learn(log: PoseLog, options: FitOptions | None = None) -> Fit:
@@ -82,10 +76,11 @@ def _find_structure(log: PoseLog, options: FitOptions, include: bool) -> Structu
     groups, bodies = singles(len(parts.names)), parts
     edges = np.zeros((0, 2), dtype=np.intp)
     for level in range(len(parts.names)):  # bodies of one round are the parts of the next; each round merges some
-        table = compare_pairs(bodies, _all_pairs(len(bodies.names)), options.joint_types, options.criterion)
+        pairs, alone = _all_pairs(len(bodies.names)), _only_rigid(groups, include)
+        table = compare_pairs(bodies, pairs, options.joint_types, options.criterion, only_rigid=alone)
         if level == 0 and not table.enough.any():
             raise InvalidData(_too_few(log))
-        chosen = _forest(table, groups, include)
+        chosen = spanning_forest(len(groups), table.pairs, edge_weights(table, alone))
         rigid = _rigid_edges(table, chosen)
         edges = table.pairs[chosen]
         if level > 0 and not rigid.size:
@@ -93,7 +88,7 @@ def _find_structure(log: PoseLog, options: FitOptions, include: bool) -> Structu
         if level == 0:
             parts = scaled_by_part(parts, _variances(table, chosen, len(parts.names)))
         groups = merged(groups, table.pairs[rigid], table.T_a_b[rigid])
-        groups = tuple(refined_mounts(parts, group) for group in groups)
+        groups = refined_mounts(parts, groups)
         bodies = fused_bodies(parts, groups)
     return Structure(parts, groups, bodies, edges)
 
@@ -108,13 +103,9 @@ def _all_pairs(count: int) -> IntArray:
     return np.stack(np.triu_indices(count, k=1), axis=-1).astype(np.intp)
 
 
-def _forest(table: PairTable, groups: Sequence[Group], include: bool) -> IntArray:
-    """Edges of the spanning forest. Unless it is a part, the reference frame only holds together what stands still."""
-    weights = np.where(table.enough, table.scores.weight, np.inf)
-    if not include:
-        alone = np.array([group.members == (REFERENCE,) for group in groups])
-        weights = np.where(alone[table.pairs].any(axis=-1) & ~table.rigid, np.inf, weights)
-    return spanning_forest(len(groups), table.pairs, weights)
+def _only_rigid(groups: Sequence[Group], include: bool) -> BoolArray:
+    """(K,) bodies that no movable joint may join: unless it is a part, the reference only holds what stands still."""
+    return np.array([not include and group.members == (REFERENCE,) for group in groups], dtype=bool)
 
 
 def _rigid_edges(table: PairTable, chosen: IntArray) -> IntArray:
@@ -183,11 +174,12 @@ def _assembled(log: PoseLog, options: FitOptions, structure: Structure, roots: l
 
 
 def _states(log: PoseLog, joints: Sequence[Joint], readings: Sequence[JointReading]) -> JointLog:
-    shape = (len(log.t_s), 0)
-    q = np.stack([r.q for r in readings], axis=-1) if readings else np.zeros(shape)
-    std = np.stack([r.std for r in readings], axis=-1) if readings else np.zeros(shape)
-    units = tuple(JOINT_TYPES[joint.type].unit or "rad" for joint in joints)
-    return JointLog(log.t_s, tuple(joint.name for joint in joints), q, units, std)
+    """Columns of all states of all joints."""
+    nothing = np.zeros((len(log.t_s), 0))
+    q = np.concatenate([nothing, *(r.q for r in readings)], axis=-1)
+    std = np.concatenate([nothing, *(r.std for r in readings)], axis=-1)
+    columns = [(name, joint.unit) for joint in joints for name in joint.columns]
+    return JointLog(log.t_s, tuple(name for name, _ in columns), q, tuple(unit for _, unit in columns), std)
 
 
 def _warnings(log: PoseLog, joints: Sequence[Joint], trees: Sequence[Sequence[int]]) -> tuple[str, ...]:

@@ -7,33 +7,23 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from station.fit.bodies import Bodies, Group
-from station.fit.comparison import fit_pairs
+from station.fit.bodies import Group
 from station.fit.noise import INLIER_ABOVE
 from station.fit.options import FitOptions
-from station.fit.pairwise import JointFit, residuals
+from station.fit.pairwise import residuals
 from station.fit.reading import JointReading
-from station.fit.selection import Scores, continuous_states
+from station.fit.selection import Scores
 from station.fit.structure import outward
-from station.fit.whole_tree import Skeleton, TreeFit, TreeModel, body_poses, measured_parts, refine_tree
+from station.fit.tree_residuals import measured_parts
+from station.fit.tree_start import REFERENCE, Structure, TreeStart, tree_start
+from station.fit.whole_tree import TreeFit, refine_tree
 from station.kinematics import se3
-from station.kinematics.joints import JOINT_TYPES, JointFrames, JointType
+from station.kinematics.joints import JointFrames, JointType
 from station.logs import FloatArray
 
 BoolArray = NDArray[np.bool_]
-IntArray = NDArray[np.intp]
 
-REFERENCE = 0  # the log's reference frame is the first of all parts while fitting
-
-
-@dataclass(frozen=True, eq=False)
-class Structure:
-    """Parts (reference first) with their noise, groups of them, the groups' bodies, and the forest's edges (E, 2)."""
-
-    parts: Bodies
-    groups: tuple[Group, ...]
-    bodies: Bodies
-    edges: IntArray
+__all__ = ["REFERENCE", "Structure", "named_member", "read_tree"]
 
 
 def named_member(group: Group, *, include: bool) -> int:
@@ -42,170 +32,105 @@ def named_member(group: Group, *, include: bool) -> int:
 
 
 @dataclass(frozen=True, eq=False)
-class _Start:
-    """A tree as the pairs tell it, from the inner root outward: bodies, joints, their fits."""
+class _Refined:
+    """A tree, its start, its fit, and whether the reference frame is a part of its own."""
 
-    bodies: list[int]
-    order: list[tuple[int, int]]
-    fits: list[JointFit]
-    scores: Scores
+    structure: Structure
+    start: TreeStart
+    fit: TreeFit
+    include: bool
+
+    def group(self, body: int) -> Group:
+        """Members of one of the skeleton's bodies."""
+        return self.structure.groups[self.start.bodies[body]]
+
+    def naming_part(self, body: int) -> int | None:
+        """Which of the skeleton's parts gives a body its name; None for the reference frame."""
+        group = self.group(body)
+        part = group.members[named_member(group, include=self.include)]
+        return self.start.parts.index(part) if part in self.start.parts else None
+
+    def naming_mount(self, body: int) -> FloatArray:
+        """(4, 4) pose of the naming part in its body's frame, as refined."""
+        part = self.naming_part(body)
+        return np.eye(4) if part is None else self.fit.model.mounts[part]
+
+    def members(self, body: int) -> list[int]:
+        """The skeleton's parts of a body, without the reference frame."""
+        return [k for k, other in enumerate(self.start.skeleton.body_of) if other == body]
+
+    def seen(self, body: int) -> BoolArray:
+        """(T,) some part of a body was seen; always for what stands still."""
+        if REFERENCE in self.group(body).members:
+            return np.ones(len(self.fit.inlier), dtype=bool)
+        parts = [self.start.parts[k] for k in self.members(body)]
+        return self.structure.parts.seen[:, parts].any(axis=1)
+
+    def told(self, body: int) -> BoolArray:
+        """(T,) some part of a body was seen and is no outlier; always for what stands still."""
+        if REFERENCE in self.group(body).members:
+            return np.ones(len(self.fit.inlier), dtype=bool)
+        return self.fit.inlier[:, self.members(body)].max(axis=1) > INLIER_ABOVE
 
 
 def read_tree(
     structure: Structure, root: int, options: FitOptions, *, include: bool
 ) -> list[tuple[int, int, JointReading, Scores, int]]:
-    """(parent, child, reading, scores, row of the scores) of each joint of a tree, from the root outward.
-
-    Inside, the tree hangs from the reference frame if that is in it, so that what stands still has one pose.
-    """
-    tree = [root, *(b for _, b, _ in outward(root, structure.edges))]
-    still = [k for k in tree if REFERENCE in structure.groups[k].members]
-    start = _start(structure, still[0] if still else root, options)
-    if not start.order:
-        return []
-    parts, skeleton = _skeleton(structure, start, root_moves=not still)
-    fit = refine_tree(skeleton, _first_model(structure, start, parts, skeleton), measured_parts(structure.parts, parts))
-    found: list[tuple[int, int, JointReading, Scores, int]] = []
-    for a, b, _ in outward(root, structure.edges):  # joints are few
-        j = next(i for i, pair in enumerate(start.order) if set(pair) == {a, b})
-        reading = _reading(structure, start, skeleton, parts, fit, j, outer=(a, b), include=include)
-        found.append((a, b, reading.settled(), start.scores, j))
-    return found
-
-
-def _start(structure: Structure, root: int, options: FitOptions) -> _Start:
+    """(parent, child, reading, scores, row of the scores) of each joint of a tree, from the root outward."""
     order = [(a, b) for a, b, _ in outward(root, structure.edges)]
-    bodies = [root, *(b for _, b in order)]
     if not order:
-        return _Start(bodies, order, [], Scores(options.criterion, {}, np.zeros(0), np.zeros(0, dtype=bool)))
-    fits, scores, _ = fit_pairs(
-        structure.bodies, np.array(order, dtype=np.intp), options.joint_types, options.criterion
-    )
-    movable = [name for name in options.joint_types if JOINT_TYPES[name].states] or list(options.joint_types)
-    best = [min(movable, key=lambda name, i=i: float(scores.by_type[name][i])) for i in range(len(order))]
-    return _Start(bodies, order, [fits[name].take(np.array([i])) for i, name in enumerate(best)], scores)
+        return []
+    start = tree_start(structure, root, options)
+    fit = refine_tree(start.skeleton, start.model, measured_parts(structure.parts, start.parts))
+    refined = _Refined(structure, start, fit, include)
+    names = [(start.bodies[joint.parent], start.bodies[joint.child]) for joint in start.skeleton.joints]
+    rows = [names.index(pair) for pair in order]
+    return [(a, b, _reading(refined, j).settled(), start.scores, j) for (a, b), j in zip(order, rows, strict=True)]
 
 
-def _skeleton(structure: Structure, start: _Start, *, root_moves: bool) -> tuple[list[int], Skeleton]:
-    """The tree's parts, and its skeleton with bodies and parts numbered within it."""
-    parts: list[int] = []
-    body_of: list[int] = []
-    free: list[bool] = []
-    for body, k in enumerate(start.bodies):
-        members = [part for part in structure.groups[k].members if part != REFERENCE]
-        parts += members
-        body_of += [body] * len(members)
-        holds_reference = REFERENCE in structure.groups[k].members
-        free += [holds_reference or i > 0 for i in range(len(members))]
-    number = {k: body for body, k in enumerate(start.bodies)}
-    joints = tuple((number[a], number[b], fit.joint) for (a, b), fit in zip(start.order, start.fits, strict=True))
-    return parts, Skeleton(joints, tuple(body_of), tuple(free), root_moves)
-
-
-def _first_model(structure: Structure, start: _Start, parts: list[int], skeleton: Skeleton) -> TreeModel:
-    T = len(structure.bodies.seen)
-    frames = tuple(fit.model.frames.take(0) for fit in start.fits)
-    q = np.stack(
-        [_filled(continuous_states(fit)[0, :, 0], fit.inlier[0] > INLIER_ABOVE) for fit in start.fits], axis=-1
-    )
-    of_part = {part: group.mounts[i] for group in structure.groups for i, part in enumerate(group.members)}
-    mounts = np.stack([of_part[part] for part in parts])
-    model = TreeModel(se3.identity(T), frames, q, mounts)
-    return (
-        TreeModel(_first_root(structure, start, skeleton, model), frames, q, mounts) if skeleton.root_moves else model
-    )
-
-
-def _filled(q: FloatArray, good: BoolArray) -> FloatArray:
-    """States (T,), those that are not good interpolated."""
-    rows = np.flatnonzero(good)
-    return np.interp(np.arange(len(q)), rows, q[rows]) if rows.size else np.zeros_like(q)
-
-
-def _first_root(structure: Structure, start: _Start, skeleton: Skeleton, model: TreeModel) -> FloatArray:
-    """(T, 4, 4) root poses told by the first body that was seen in each frame; else those of the frame before."""
-    chains = body_poses(skeleton, model)
-    found = np.full((len(model.q), 4, 4), np.nan)
-    for chain, body in reversed(list(zip(chains, start.bodies, strict=True))):  # the root itself last: it is the best
-        seen = structure.bodies.oriented[:, body]
-        found[seen] = (structure.bodies.T_ref_body[:, body] @ se3.inverse(chain))[seen]
-    known = np.flatnonzero(~np.isnan(found[:, 0, 0]))
-    nearest = known[np.clip(np.searchsorted(known, np.arange(len(found)), side="right") - 1, 0, None)]
-    return found[nearest]
-
-
-def _reading(
-    structure: Structure,
-    start: _Start,
-    skeleton: Skeleton,
-    parts: list[int],
-    fit: TreeFit,
-    j: int,
-    *,
-    outer: tuple[int, int],
-    include: bool,
-) -> JointReading:
-    """A joint between the naming parts of two bodies; turned round if the outer tree has it the other way."""
-    a, b = outer
-    inner, kind, along_q = fit.model.frames[j], skeleton.joints[j][2], fit.model.q[:, j]
-    to_axis = np.zeros((6, skeleton.parameters))
+def _reading(refined: _Refined, j: int) -> JointReading:
+    """A joint between the naming parts of two bodies."""
+    skeleton, fit = refined.start.skeleton, refined.fit
+    joint, inner = skeleton.joints[j], fit.model.frames[j]
+    a, b = joint.parent, joint.child
+    offset_a, offset_b = refined.naming_mount(a), refined.naming_mount(b)
+    frames = JointFrames(se3.inverse(offset_a) @ inner.T_parent_axis, inner.T_axis_child @ offset_b, inner.form)
+    to_axis = np.zeros((6 + len(inner.form), skeleton.parameters))
     columns = range(*skeleton.joint_columns(j).indices(skeleton.parameters))
-    split = len(kind.axis_freedoms)
-    frames = inner
-    if start.order[j] == outer:
-        to_axis[list(kind.axis_freedoms), columns[:split]] = 1.0
-    else:  # T_child_parent = C^-1 exp(-q screw) F^-1
-        to_axis[list(kind.child_freedoms), columns[split:]] = -1.0
-        frames = JointFrames(se3.inverse(inner.T_axis_child), se3.inverse(inner.T_parent_axis), inner.form)
-        along_q = -along_q
-    offset_a, offset_b = (_naming_mount(structure, k, parts, fit, include=include) for k in outer)
-    frames = JointFrames(se3.inverse(offset_a) @ frames.T_parent_axis, frames.T_axis_child @ offset_b, frames.form)
-    naming = structure.groups[a].members[named_member(structure.groups[a], include=include)]
-    if naming in parts and skeleton.free_mount[parts.index(naming)]:
-        to_axis[:, skeleton.mount_columns(parts.index(naming))] -= se3.adjoint(se3.inverse(frames.T_parent_axis))
-    good_a, good_b = (_told(structure, k, parts, fit) for k in outer)
-    seen = structure.bodies.oriented[:, a] & structure.bodies.seen[:, b]
-    residual = _relative_residual(structure, kind, frames, along_q, outer, (offset_a, offset_b))
-    good = seen & good_a & good_b
+    to_axis[list(joint.type.axis_freedoms), columns[: len(joint.type.axis_freedoms)]] = 1.0
+    to_axis[range(6, len(to_axis)), columns[len(columns) - len(inner.form) :]] = 1.0
+    naming = refined.naming_part(a)
+    if naming is not None and skeleton.free_mount[naming]:
+        to_axis[:6, skeleton.mount_columns(naming)] -= se3.adjoint(se3.inverse(frames.T_parent_axis))
+    good = refined.told(a) & refined.told(b)
+    if joint.type.states == 1:  # of several states some may be observed
+        good &= np.isfinite(fit.state_covariance[j][:, 0, 0])
+    q = fit.model.q[:, skeleton.state_columns(j)]
+    residual, placed, oriented = _relative_residual(refined, joint.type, frames, q, (a, b))
     return JointReading(
-        type=kind,
+        type=joint.type,
         frames=frames,
         covariance=to_axis @ fit.covariance @ to_axis.T,
-        q=along_q,
-        std=fit.state_std[:, j],
-        seen=seen,
+        q=q,
+        state_covariance=fit.state_covariance[j],
+        seen=refined.seen(a) & refined.seen(b),
         good=good,
         residual=residual,
-        oriented=good & structure.bodies.oriented[:, b],
+        placed=good & placed,
+        oriented=good & oriented,
+        spread=fit.spread[refined.members(a) + refined.members(b)].max(axis=0, initial=0.0),
     )
-
-
-def _naming_mount(structure: Structure, k: int, parts: list[int], fit: TreeFit, *, include: bool) -> FloatArray:
-    """(4, 4) pose of the naming part in its body's frame, as refined."""
-    group = structure.groups[k]
-    member = named_member(group, include=include)
-    part = group.members[member]
-    return fit.model.mounts[parts.index(part)] if part in parts else group.mounts[member]
-
-
-def _told(structure: Structure, k: int, parts: list[int], fit: TreeFit) -> BoolArray:
-    """(T,) some part of a body was seen and is no outlier; always for what stands still."""
-    members = structure.groups[k].members
-    if REFERENCE in members:
-        return np.ones(len(fit.inlier), dtype=bool)
-    return fit.inlier[:, [parts.index(part) for part in members]].max(axis=1) > INLIER_ABOVE
 
 
 def _relative_residual(
-    structure: Structure,
-    kind: JointType,
-    frames: JointFrames,
-    q: FloatArray,
-    outer: tuple[int, int],
-    offsets: tuple[FloatArray, FloatArray],
-) -> FloatArray:
-    """(T, 6) of the fused relative pose of two bodies' naming parts against the joint."""
-    T_a, T_b = (structure.bodies.T_ref_body[:, k] @ offset for k, offset in zip(outer, offsets, strict=True))
-    return residuals(
-        se3.inverse(T_a) @ T_b, frames.T_parent_axis @ kind.axis_motion(q[:, None], frames.form) @ frames.T_axis_child
-    )
+    refined: _Refined, kind: JointType, frames: JointFrames, q: FloatArray, pair: tuple[int, int]
+) -> tuple[FloatArray, BoolArray, BoolArray]:
+    """(T, 6) of the fused relative pose of two bodies' naming parts against the joint, where there are both (T,), and
+    where with the child's orientation (T,).
+    """
+    bodies = refined.structure.bodies
+    a, b = (refined.start.bodies[body] for body in pair)
+    T_a, T_b = (bodies.T_ref_body[:, k] @ refined.naming_mount(body) for k, body in zip((a, b), pair, strict=True))
+    T_joint = frames.T_parent_axis @ kind.axis_motion(q, frames.form) @ frames.T_axis_child
+    placed = bodies.oriented[:, a] & bodies.seen[:, b]
+    return residuals(se3.inverse(T_a) @ T_b, T_joint), placed, placed & bodies.oriented[:, b]

@@ -1,0 +1,16 @@
+"""What every method of learning returns."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from station.kinematics.tree import KinematicTree
+from station.logs import JointLog
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """A learned tree, and its joints' states at the log's times; NaN where a joint wasn't seen or was an outlier."""
+
+    tree: KinematicTree
+    states: JointLog
