@@ -15,6 +15,7 @@ import numpy as np
 
 from station import commands
 from station.compare import Comparison
+from station.fit_files import read_fit
 from station.kinematics.tree import KinematicTree
 
 JOINTS = ("base_pan", "shoulder", "elbow", "wrist")
@@ -45,7 +46,7 @@ def run_seed(seed: int) -> tuple[int, bool, dict[str, float], float]:
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "demo"
         comparison = commands.run("demo", "demo", out, seed=seed)
-        tree, _ = commands.load_fit(out / "fit")
+        tree = read_fit(out / "fit").tree
     return seed, structure_right(tree), rmse_deg(comparison), time.perf_counter() - start_s
 
 

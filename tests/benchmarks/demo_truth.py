@@ -13,6 +13,7 @@ from unittest import mock
 import numpy as np
 
 from station import commands
+from station.fit_files import read_fit
 from station.kinematics import se3
 from station.rig import EmulatedArm, load_rig
 from station.stage import Stage
@@ -51,7 +52,8 @@ def main() -> None:
         out = Path(folder) / "demo"
         t_true_s, q_true = capture_with_truth(out, seed)
         session = commands.load_session(out)
-        tree, states = commands.load_fit(out / "fit")
+        fitted = read_fit(out / "fit")
+        tree, states = fitted.tree, fitted.states
     start_s = session.recording.start_ns * 1e-9
     rig = load_rig("demo")
     assert rig.table.simulation is not None
