@@ -178,7 +178,8 @@ def fit(
     library's old rows. Writes kinematics.json, joint_states.csv, kinematics.urdf and a drawing.
     """
     from station import commands
-    from station.fit.learner import FitOptions
+    from station.fit.options import FitOptions
+    from station.fit_files import TREE_FILE
 
     options = FitOptions(
         method=method.value,
@@ -189,12 +190,12 @@ def fit(
     )
     result = commands.fit(source, out, options=options, force=force)
     if as_json:
-        print((result.folder / commands.TREE_FILE).read_text(encoding="utf-8"))
+        print((result.folder / TREE_FILE).read_text(encoding="utf-8"))
     else:
         _show_tree(result.fit.tree)
     for notice in (*result.notices, *result.fit.tree.warnings):
         _warn(notice)
-    _next(f"tree          {result.folder / commands.TREE_FILE}", f"drawing       {result.folder / 'tree.png'}")
+    _next(f"tree          {result.folder / TREE_FILE}", f"drawing       {result.folder / 'tree.png'}")
 
 
 @app.command()

@@ -17,19 +17,17 @@ import numpy as np
 
 from station.compare import Comparison
 from station.compare import compare as compare_logs
-from station.comparison_files import write_comparison, write_files
-from station.errors import InvalidFile, StationError
+from station.comparison_files import write_comparison
+from station.errors import InvalidData, InvalidFile, StationError
 from station.fit.learner import Fit, FitOptions, learn
+from station.fit_files import read_fit, why_no_urdf, write_fit
 from station.formats.camera import format_camera, parse_camera
-from station.formats.joint_csv import format_joint_states, parse_commands, parse_joint_states
 from station.formats.markers import format_markers, parse_markers
 from station.formats.motion import parse_motion
-from station.formats.read import read_pose_log
+from station.formats.read import read_commands, read_pose_log
 from station.formats.rig import parse_rig
 from station.formats.text import read_text
-from station.formats.urdf import to_urdf
 from station.kinematics.tree import KinematicTree
-from station.kinematics.tree_json import from_json, to_json
 from station.lag import combined_lag
 from station.logs import FloatArray, JointLog, PoseLog
 from station.motion import JointLimits, Plan, plan_motion
@@ -47,11 +45,6 @@ if TYPE_CHECKING:
     from station.recording import Recording
     from station.rig import RigFile
 
-TREE_FILE = "kinematics.json"
-STATES_FILE = "joint_states.csv"
-URDF_FILE = "kinematics.urdf"
-TREE_NAME = "fitted"
-TREE_FIGURE = "tree"
 # In the order of the report's facts.
 VERSIONED = ("capture-fit-station", "numpy", "scipy", "opencv-contrib-python-headless", "rerun-sdk", "dynamixel-sdk")
 # A lag between read-back and camera that is worth a warning: over this, and over three standard deviations.
@@ -226,20 +219,26 @@ def fit(source: Path, out: Path | None = None, *, options: FitOptions | None = N
             raise StationError(f"'{source}' is no session folder: name a folder for the result with --out")
         out = source / FIT_FOLDER
     check_output_folder(out, force=force)
-    found = learn(read_pose_log(source) if session is None else session.poses, options or FitOptions())
+    poses = read_pose_log(source) if session is None else session.poses
+    try:
+        found = learn(poses, options or FitOptions())
+    except InvalidData as error:
+        raise InvalidData(f"{source}: {error}") from error
     if session is not None:
         found = _named_by_commands(found, session.recording)
-    _write_fit(out, found)
+    write_fit(found, out, force=force)
     if session is not None and out == source / FIT_FOLDER:
         from station.recording import append_detected
 
-        append_detected(source, found.states, found.tree, session.poses)
-    return FitResult(out, found, session.recording.notices if session else ())
+        append_detected(source, found.states, found.tree, poses)
+    without = why_no_urdf(found.tree)
+    notices = (*(session.recording.notices if session else ()), *((without,) if without else ()))
+    return FitResult(out, found, notices)
 
 
 def _named_by_commands(found: Fit, recording: Recording) -> Fit:
     """The same fit, its joints named by the commanded joints that they follow, and turned to increase with them."""
-    matched = compare_logs(found.states, joint_types(found.tree), recording.commanded, recording.measured)
+    matched = compare_logs(found.states, recording.commanded, recording.measured, types=joint_types(found.tree))
     names = {joint.fitted_joint: joint.joint for joint in matched.joints}
     signs = {joint.fitted_joint: joint.sign for joint in matched.joints}
     joints = tuple(
@@ -255,32 +254,8 @@ def _named_by_commands(found: Fit, recording: Recording) -> Fit:
 
 
 def joint_types(tree: KinematicTree) -> dict[str, str]:
-    """Type of each joint by its name."""
-    return {joint.name: joint.type for joint in tree.joints}
-
-
-def _write_fit(folder: Path, found: Fit) -> None:
-    from station.report import save_figure, tree_figure
-
-    texts = {
-        URDF_FILE: to_urdf(found.tree, TREE_NAME),
-        STATES_FILE: format_joint_states(found.states),
-        TREE_FILE: to_json(found.tree),
-    }
-    save_figure(tree_figure(found.tree, found.states), folder / TREE_FIGURE)
-    write_files(folder, {name: text.encode() for name, text in texts.items()})
-
-
-def load_fit(folder: Path) -> tuple[KinematicTree, JointLog]:
-    """Read a fit's tree and joint states back; raises InvalidFile."""
-    if not (folder / TREE_FILE).exists():
-        raise InvalidFile(
-            f"{folder} has no {TREE_FILE}: nothing was fitted there yet\nrun: station fit {folder.parent}"
-        )
-    tree = from_json(read_text(folder / TREE_FILE, "tree"), str(folder / TREE_FILE))
-    units = {joint.name: joint.unit for joint in tree.movable}
-    path = folder / STATES_FILE
-    return tree, parse_joint_states(read_text(path, "joint states"), str(path), units)
+    """Type of the joint that each column of joint states belongs to."""
+    return {column: joint.type for joint in tree.joints for column in joint.columns}
 
 
 def compare(session: Path, *, commands: Path | None = None) -> Comparison:
@@ -299,7 +274,8 @@ def _compare(session: Path, commands: Path | None) -> tuple[Comparison, Recordin
     from station.recording import Recording
 
     recording = Recording.load(session)
-    tree, states = load_fit(session / FIT_FOLDER)
+    fitted = read_fit(session / FIT_FOLDER)
+    tree, states = fitted.tree, fitted.states
     if commands is None:
         commanded, measured = recording.commanded, recording.measured
         if not commanded.joints:
@@ -307,9 +283,8 @@ def _compare(session: Path, commands: Path | None) -> tuple[Comparison, Recordin
                 f"{session} has no recorded commands\ngive them with --commands FILE (t_s, then a column a joint)"
             )
     else:
-        units = {joint.name: joint.unit for joint in tree.movable}
-        commanded, measured = parse_commands(read_text(commands, "commands"), str(commands), units), None
-    comparison = compare_logs(states, joint_types(tree), commanded, measured, same_clock=commands is None)
+        commanded, measured = read_commands(commands, tree.units), None
+    comparison = compare_logs(states, commanded, measured, types=joint_types(tree), same_clock=commands is None)
     write_comparison(session / REPORT_FOLDER, comparison)
     return comparison, recording, tree, states
 

@@ -14,6 +14,7 @@ against the command, so the errors are those of the columns of comparison.csv.
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -22,7 +23,9 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 from scipy.signal import correlate
 
+from station.callable_module import CallableModule
 from station.errors import InvalidData
+from station.kinematics.joints import JOINT_TYPES
 from station.lag import (
     MAX_COARSE_POINTS,
     MIN_FRAMES,
@@ -39,6 +42,8 @@ from station.logs import FloatArray, JointLog, frozen_floats
 
 UNIT_SCALE = {"rad": 180.0 / np.pi, "m": 1e3}
 UNIT_NAME = {"rad": "deg", "m": "mm"}
+# Joint types where nobody tells them.
+TYPE_OF_UNIT = {"rad": "revolute", "m": "prismatic"}
 
 # A reference that ranges over less than this has not moved: neither correlation nor lag nor gain means anything.
 MIN_TRAVEL = {"rad": float(np.radians(0.5)), "m": 5e-4}
@@ -301,10 +306,10 @@ def _powers(y: FloatArray, x: FloatArray) -> list[tuple[FloatArray, FloatArray]]
 
 def compare(
     detected: JointLog,
-    types: Mapping[str, str],
     commanded: JointLog | None,
-    measured: JointLog | None,
+    measured: JointLog | None = None,
     *,
+    types: Mapping[str, str] | None = None,
     same_clock: bool = True,
 ) -> Comparison:
     """Compare detected joint states with commands and read-back.
@@ -314,26 +319,32 @@ def compare(
     alone over the frames where the servo had arrived. Errors are after sign and offset only; never after gain.
 
     Args:
-        detected: fitted joints at T frames [rad or m], NaN where not seen; std optional.
-        types: joint type of each fitted joint.
-        commanded: a row a command, held until the next.
+        detected: fitted joints at T frames [rad or m], NaN where not seen; std optional. A fit's `states`.
+        commanded: a row a command, held until the next; None if there is none.
         measured: the servos' read-back.
+        types: joint type of each fitted joint, for the result; None: revolute for rad, prismatic for m.
         same_clock: whether all stamps come from one clock. If not, commands and read-back (on one other clock) are
             shifted by one common lag before the errors are taken; the lags reported are in the stamps as given.
 
     Raises:
-        InvalidData: a fitted joint without a type; a joint commanded and read back in different units.
+        InvalidData: what is no JointLog; a fitted joint without a type; a joint commanded and read back in different
+            units.
 
-    A joint that did not move matches nothing. Joints that always move in the very same way can't be told apart.
+    A joint that did not move matches nothing, nor do the three states of a spherical one, which no command tells.
+    Joints that always move in the very same way can't be told apart.
     """
+    _check_kinds(detected=detected, commanded=commanded, measured=measured)
+    if types is None:
+        types = {name: TYPE_OF_UNIT[unit] for name, unit in zip(detected.joints, detected.units, strict=True)}
     missing = [name for name in detected.joints if name not in types]
     if missing:
         raise InvalidData(f"no joint type for {', '.join(missing)}; have {', '.join(types) or 'none'}")
     references = _references(commanded, measured, period(detected.t_s))
     usable = [reference for reference in references if _length(reference.span_s) > 0]
-    clock = None if same_clock or not usable or not detected.joints else _clock_lag(detected, usable)
+    told = _with_one_state(detected, types)
+    clock = None if same_clock or not usable or not told.joints else _clock_lag(told, usable)
     lag_s = 0.0 if clock is None else clock[0]
-    pairs = _match(detected, [reference.delayed(lag_s) for reference in references])
+    pairs = _match(told, [reference.delayed(lag_s) for reference in references])
     fitted, followed = {pair.fitted for pair in pairs}, {pair.reference.name for pair in pairs}
     return Comparison(
         tuple(_joint_comparison(pair, detected, types[pair.fitted], lag_s) for pair in pairs),
@@ -341,6 +352,22 @@ def compare(
         tuple(reference.name for reference in references if reference.name not in followed),
         *(clock or (None, None)),
     )
+
+
+def _with_one_state(detected: JointLog, types: Mapping[str, str]) -> JointLog:
+    """The states of joints that have one."""
+    several = {name for name, joint in JOINT_TYPES.items() if joint.states > 1}
+    kept = [i for i, name in enumerate(detected.joints) if types[name] not in several]
+    names, units = (tuple(names[i] for i in kept) for names in (detected.joints, detected.units))
+    return JointLog(detected.t_s, names, detected.q[:, kept], units)
+
+
+def _check_kinds(**logs: object) -> None:
+    """Raise InvalidData for a log that is none, a whole fit for instance."""
+    for name, log in logs.items():
+        if not isinstance(log, JointLog) and (log is not None or name == "detected"):
+            have = type(log).__name__
+            raise InvalidData(f"compare wants a JointLog for '{name}'; have a {have}; a fit's is its `states`")
 
 
 def _joint_comparison(pair: _Pair, detected: JointLog, type_name: str, clock_lag_s: float) -> JointComparison:
@@ -405,3 +432,6 @@ def _against(
         max=float(np.max(np.abs(error))),
         frames=len(error),
     )
+
+
+sys.modules[__name__].__class__ = CallableModule

@@ -56,7 +56,7 @@ def detection(rng: np.random.Generator, *, signs=(-1, 1), gains=(GAIN, 1.0), noi
     return JointLog(t_s, ("b__c", "a__b"), q[:, ::-1], ("rad", "rad"), np.full(q.shape, noise))
 
 
-TYPES = {"a__b": "revolute", "b__c": "revolute"}
+FITTED = ("a__b", "b__c")
 
 
 def joint_named(comparison: Comparison, name: str) -> JointComparison:
@@ -87,7 +87,7 @@ def test_readback_is_not_used_farther_than_one_and_a_half_samples_away():
 
 
 def test_sign_zero_lag_and_gain_of_known_truth_are_recovered():
-    comparison = compare(detection(np.random.default_rng(1)), TYPES, commands(), readback())
+    comparison = compare(detection(np.random.default_rng(1)), commands(), readback())
     assert [(j.joint, j.fitted_joint, j.sign) for j in comparison.joints] == [("pan", "a__b", -1), ("lift", "b__c", 1)]
     pan = joint_named(comparison, "pan").against_measured
     assert pan is not None and pan.lag_std_s is not None and pan.gain_std is not None
@@ -132,7 +132,7 @@ def test_the_lag_behind_step_commands_is_found_between_frames():
 
 
 def test_errors_are_those_of_the_columns_after_sign_and_offset_only():
-    comparison = compare(detection(np.random.default_rng(2), gains=(0.9, 1.0)), TYPES, commands(), readback())
+    comparison = compare(detection(np.random.default_rng(2), gains=(0.9, 1.0)), commands(), readback())
     for joint in comparison.joints:
         for agreement, reference in (
             (joint.against_measured, joint.measured),
@@ -150,7 +150,7 @@ def test_errors_are_those_of_the_columns_after_sign_and_offset_only():
 
 
 def test_the_offset_is_the_least_squares_one():
-    comparison = compare(detection(np.random.default_rng(3)), TYPES, None, readback())
+    comparison = compare(detection(np.random.default_rng(3)), None, readback())
     for joint in comparison.joints:
         assert np.nanmean(joint.detected - joint.measured) == pytest.approx(0.0, abs=1e-12)
         assert joint.against_commanded is None and np.all(np.isnan(joint.commanded))
@@ -163,7 +163,7 @@ def test_against_commands_alone_the_zero_is_where_the_servo_had_arrived():
     noise = NOISE_RAD * np.random.default_rng(19).normal(size=len(t_s))
     detected = JointLog(t_s, ("a__b",), (climb + 0.7 + noise)[:, None], ("rad",))
     steps = JointLog(np.array([0.0, 2.0]), ("pan",), np.array([[0.0], [1.0]]), ("rad",))
-    joint = compare(detected, {"a__b": "revolute"}, steps, None).joints[0]
+    joint = compare(detected, steps).joints[0]
     assert np.nanmean(joint.detected - climb) == pytest.approx(0.0, abs=np.radians(0.1))
 
 
@@ -171,7 +171,7 @@ def test_against_commands_alone_the_zero_is_where_the_servo_had_arrived():
 @pytest.mark.parametrize("with_readback", [True, False])
 def test_matching_and_signs_do_not_depend_on_the_order_or_the_sign(signs, with_readback):
     detected = detection(np.random.default_rng(4), signs=signs)
-    comparison = compare(detected, TYPES, commands(), readback() if with_readback else None)
+    comparison = compare(detected, commands(), readback() if with_readback else None)
     assert {(j.joint, j.fitted_joint, j.sign) for j in comparison.joints} == {
         ("pan", "a__b", signs[0]),
         ("lift", "b__c", signs[1]),
@@ -187,14 +187,14 @@ def test_joints_that_always_move_together_are_told_apart_by_how_far():
     log = JointLog(t_s, ("small", "large"), q, ("rad", "rad"))
     noisy = q[:, ::-1] + rng.normal(size=q.shape) * np.radians([0.01, 2.0])
     detected = JointLog(t_s, ("a__b", "b__c"), noisy, ("rad", "rad"))
-    comparison = compare(detected, TYPES, None, log)
+    comparison = compare(detected, None, log)
     assert {j.joint: j.fitted_joint for j in comparison.joints} == {"small": "b__c", "large": "a__b"}
 
 
 def test_a_joint_that_did_not_move_matches_nothing_and_is_listed():
     log = readback()
     still = JointLog(log.t_s, ("pan", "rest"), np.stack([log.state("pan"), 0 * log.t_s], -1), log.units)
-    comparison = compare(detection(np.random.default_rng(6)), TYPES, None, still)
+    comparison = compare(detection(np.random.default_rng(6)), None, still)
     assert [j.joint for j in comparison.joints] == ["pan"]
     assert comparison.unmatched_commanded == ("rest",)
     assert comparison.unmatched_fitted == ("b__c",)
@@ -204,9 +204,22 @@ def test_a_slide_never_matches_a_hinge():
     t_s = np.arange(0, 20, 1 / FPS)
     wave = np.sin(t_s)
     detected = JointLog(t_s, ("a__b",), wave[:, None], ("m",))
-    comparison = compare(detected, {"a__b": "prismatic"}, None, JointLog(t_s, ("pan",), wave[:, None], ("rad",)))
+    comparison = compare(detected, None, JointLog(t_s, ("pan",), wave[:, None], ("rad",)))
     assert comparison.joints == ()
     assert (comparison.unmatched_fitted, comparison.unmatched_commanded) == (("a__b",), ("pan",))
+
+
+def test_the_states_of_a_ball_follow_no_command():
+    log = detection(np.random.default_rng(7))
+    names = ("ball_x", "ball_y", "b__c", "a__b")
+    detected = JointLog(log.t_s, names, np.tile(log.q, (1, 2)), ("rad",) * 4)
+    types = dict.fromkeys(names, "revolute") | {"ball_x": "spherical", "ball_y": "spherical"}
+    for same_clock in (True, False):
+        comparison = compare(detected, commands(), readback(), types=types, same_clock=same_clock)
+        assert [joint.fitted_joint for joint in comparison.joints] == ["a__b", "b__c"]
+        assert comparison.unmatched_fitted == ("ball_x", "ball_y")
+    alone = JointLog(log.t_s, names[:2], log.q, ("rad", "rad"))
+    assert compare(alone, commands(), types=types, same_clock=False).joints == ()
 
 
 def test_wild_frames_do_not_change_who_matches_whom():
@@ -214,14 +227,14 @@ def test_wild_frames_do_not_change_who_matches_whom():
     q = np.array(detected.q)
     q[::25] += 3.0
     wild = JointLog(detected.t_s, detected.joints, q, detected.units)
-    comparison = compare(wild, TYPES, commands(), readback())
+    comparison = compare(wild, commands(), readback())
     assert {(j.joint, j.fitted_joint, j.sign) for j in comparison.joints} == {("pan", "a__b", -1), ("lift", "b__c", 1)}
 
 
 @pytest.mark.parametrize("shift_s", [-7.3, 0.0, 4.21, 1000.017])
 def test_the_lag_between_two_clocks_is_found_and_applied(shift_s):
     detected = detection(np.random.default_rng(9), gains=(1.0, 1.0))
-    comparison = compare(detected, TYPES, commands(shift_s), readback(shift_s), same_clock=False)
+    comparison = compare(detected, commands(shift_s), readback(shift_s), same_clock=False)
     assert comparison.clock_lag_s is not None and comparison.clock_lag_std_s is not None
     assert comparison.clock_lag_s == pytest.approx(LAG_S - shift_s, abs=4 * comparison.clock_lag_std_s)
     assert comparison.clock_lag_std_s < 0.002
@@ -233,7 +246,7 @@ def test_the_lag_between_two_clocks_is_found_and_applied(shift_s):
 
 def test_commands_of_another_clock_alone_are_enough_to_align():
     detected = detection(np.random.default_rng(10))
-    comparison = compare(detected, TYPES, commands(33.0), None, same_clock=False)
+    comparison = compare(detected, commands(33.0), same_clock=False)
     assert {j.joint for j in comparison.joints} == {"pan", "lift"}
     assert comparison.clock_lag_s is not None
     assert -33.0 < comparison.clock_lag_s < -32.0  # half of the longest ramp (1.7 s) at most, plus the camera's lag
@@ -242,7 +255,7 @@ def test_commands_of_another_clock_alone_are_enough_to_align():
 def test_unrelated_motion_on_two_clocks_matches_nothing():
     t_s = np.arange(0, 20, 1 / FPS)
     still = JointLog(t_s, ("a__b",), np.zeros((len(t_s), 1)), ("rad",))
-    comparison = compare(still, TYPES, commands(), None, same_clock=False)
+    comparison = compare(still, commands(), same_clock=False)
     assert comparison.joints == () and comparison.clock_lag_s is None
 
 
@@ -257,25 +270,25 @@ def test_combined_lag_is_the_weighted_mean_and_wider_where_joints_disagree():
 
 
 def test_no_references_leave_every_fitted_joint_unmatched():
-    comparison = compare(detection(np.random.default_rng(12)), TYPES, None, None)
-    assert comparison.joints == () and set(comparison.unmatched_fitted) == set(TYPES)
+    comparison = compare(detection(np.random.default_rng(12)), None)
+    assert comparison.joints == () and set(comparison.unmatched_fitted) == set(FITTED)
 
 
 def test_a_fitted_joint_without_a_type_is_refused():
     with pytest.raises(InvalidData, match="b__c"):
-        compare(detection(np.random.default_rng(13)), {"a__b": "revolute"}, commands(), None)
+        compare(detection(np.random.default_rng(13)), commands(), types={"a__b": "revolute"})
 
 
 def test_a_joint_in_two_units_is_refused():
     metres = JointLog(np.arange(3.0), ("pan",), np.zeros((3, 1)), ("m",))
     with pytest.raises(InvalidData, match="pan"):
-        compare(detection(np.random.default_rng(14)), TYPES, commands(), metres)
+        compare(detection(np.random.default_rng(14)), commands(), metres)
 
 
 def test_no_argument_is_changed_and_results_are_frozen():
     detected = detection(np.random.default_rng(15))
     before = detected.q.copy()
-    joint = compare(detected, TYPES, commands(), readback()).joints[0]
+    joint = compare(detected, commands(), readback()).joints[0]
     np.testing.assert_array_equal(detected.q, before)
     with pytest.raises(ValueError, match="read-only"):
         joint.detected[0] = 1.0
@@ -285,7 +298,7 @@ def test_the_json_has_the_fields_of_the_design_in_degrees_and_no_nan():
     def refuse(constant: str):
         raise AssertionError(f"{constant} is no JSON")
 
-    comparison = compare(detection(np.random.default_rng(16)), TYPES, None, readback())
+    comparison = compare(detection(np.random.default_rng(16)), None, readback())
     data = json.loads(comparison_json(comparison), parse_constant=refuse)
     assert data["schema"] == "comparison/1" and set(data) == {"schema", "joints"}
     pan = data["joints"][0]
@@ -303,7 +316,7 @@ def test_undefined_lag_and_gain_are_null():
     held_still = JointLog(np.array([0.0]), ("pan",), np.zeros((1, 1)), ("rad",))
     log = readback()
     moved = JointLog(log.t_s, ("pan",), log.state("pan")[:, None], ("rad",))
-    comparison = compare(detection(np.random.default_rng(17)), TYPES, held_still, moved)
+    comparison = compare(detection(np.random.default_rng(17)), held_still, moved)
     commanded = json.loads(comparison_json(comparison))["joints"][0]["commanded"]
     assert commanded["lag_s"] is None and commanded["gain"] is None and commanded["rmse_deg"] > 10
 
@@ -312,7 +325,7 @@ def test_a_slide_is_written_in_millimetres():
     t_s = np.arange(0, 20, 1 / FPS)
     wave = 0.1 * np.sin(t_s)
     detected = JointLog(t_s, ("a__b",), wave[:, None] + 0.002 * np.sign(np.cos(9 * t_s))[:, None], ("m",))
-    comparison = compare(detected, {"a__b": "prismatic"}, None, JointLog(t_s, ("rail",), wave[:, None], ("m",)))
+    comparison = compare(detected, None, JointLog(t_s, ("rail",), wave[:, None], ("m",)))
     rail = json.loads(comparison_json(comparison))["joints"][0]
     assert rail["unit"] == "mm" and rail["type"] == "prismatic"
     assert rail["measured"]["rmse_mm"] == pytest.approx(2.0, abs=0.1)
@@ -321,7 +334,7 @@ def test_a_slide_is_written_in_millimetres():
 
 
 def test_the_csv_gives_back_the_arrays_with_blanks_for_what_was_not_seen():
-    comparison = compare(detection(np.random.default_rng(18)), TYPES, None, readback())
+    comparison = compare(detection(np.random.default_rng(18)), None, readback())
     text = comparison_csv(comparison)
     assert text.splitlines()[0] == "t_s,joint,unit,commanded,measured,detected,detected_std"
     rows = [row for row in csv.DictReader(io.StringIO(text)) if row["joint"] == "lift"]

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from station import commands
+from station.fit_files import read_fit
 from station.recording import Recording
 from tests.benchmarks.demo_seeds import JOINTS, rmse_deg, structure_right
 
@@ -20,7 +21,7 @@ def demo(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_the_demo_finds_the_arm(demo: Path):
-    assert structure_right(commands.load_fit(demo / "fit")[0])
+    assert structure_right(read_fit(demo / "fit").tree)
 
 
 def test_detected_angles_agree_with_the_read_back(demo: Path):
@@ -33,7 +34,7 @@ def test_detected_angles_agree_with_the_read_back(demo: Path):
 def test_the_base_turns_to_80_degrees_and_is_seen_there(demo: Path):
     pan = np.degrees(Recording.load(demo).measured.state("base_pan"))
     assert pan.max() > 79 and pan.min() < -79
-    _, states = commands.load_fit(demo / "fit")
+    states = read_fit(demo / "fit").states
     assert np.ptp(np.degrees(states.state("base_pan")[np.isfinite(states.state("base_pan"))])) > 155
 
 

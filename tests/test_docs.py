@@ -1,14 +1,24 @@
-"""What the documents show is read as shown, and every command that they name is there."""
+"""What the documents show is read, and printed, as shown; every command, option and name of theirs is there."""
 
+import ast
+import inspect
 import re
 from pathlib import Path
 
+import numpy as np
+import pytest
+
+import station
 from station import cli
 from station.formats.camera import parse_camera
 from station.formats.motion import parse_motion
 from station.formats.rig import parse_rig
 
 ROOT = Path(__file__).parent.parent
+DOCUMENTS = (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))
+# A block of Python, and what it prints if that is shown right below it.
+PYTHON = re.compile(r"```python\n(.*?)```(?:\n```text\n(.*?)```)?", re.DOTALL)
+API = (ROOT / "docs" / "python.md").read_text("utf-8")
 
 
 def test_the_examples_of_rig_motion_and_camera_are_read():
@@ -25,6 +35,44 @@ def test_the_readme_names_the_commands_that_there_are():
 
 
 def test_links_of_the_documents_lead_somewhere():
-    for document in (ROOT / "README.md", ROOT / "docs" / "rig.md"):
+    for document in DOCUMENTS:
         for link in re.findall(r"\]\(([^)#:]+)\)", document.read_text("utf-8")):
             assert (document.parent / link).exists(), f"{document.name}: {link}"
+
+
+@pytest.mark.parametrize(
+    "document",
+    [path for path in DOCUMENTS if "```python" in path.read_text("utf-8")],
+    ids=lambda path: path.name,
+)
+def test_the_python_of_a_document_runs_from_top_to_bottom_and_prints_what_is_shown(
+    document: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    monkeypatch.chdir(tmp_path)
+    names: dict[str, object] = {}
+    for number, (code, shown) in enumerate(PYTHON.findall(document.read_text("utf-8")), start=1):
+        exec(compile(code, f"{document.name}, block {number}", "exec"), names)
+        printed = capsys.readouterr().out
+        assert printed == shown or not shown, f"{document.name}, block {number}"
+
+
+def test_the_python_page_names_everything_that_there_is():
+    named = set(re.findall(r"station\.(\w+)", API)) - {"commands"}
+    values = {"Comparison", "Fit", "Joint"}  # what the calls return; nobody makes them
+    assert named | values == set(station.__all__)
+
+
+def test_the_options_of_the_python_page_are_those_of_the_fit():
+    rows = re.findall(r"^\| `(\w+)` \| `(.*?)` \| .* \|$", API[API.index("## Options") :], re.MULTILINE)
+    parameters = list(inspect.signature(station.fit).parameters.values())[1:]
+    assert {name: ast.literal_eval(default) for name, default in rows} == {p.name: p.default for p in parameters}
+
+
+@pytest.mark.parametrize("keyword", ["method", "criterion", "joint_types"])
+def test_the_choices_of_the_python_page_are_those_of_the_fit(keyword: str):
+    row = next(line for line in API.splitlines() if line.startswith(f"| `{keyword}` |"))
+    shown = re.findall(r'`"(\w[\w-]*)"`', row.split("|")[3])
+    still = station.PoseLog(np.arange(12.0), "camera", ("door",), np.tile(np.eye(4), (12, 1, 1, 1)))
+    with pytest.raises(station.StationError) as refused:
+        station.fit(still, **{keyword: ("nonsense",) if keyword == "joint_types" else "nonsense"})
+    assert sorted(shown) == sorted(str(refused.value).split(" of ")[-1].split(", "))

@@ -1,1 +1,75 @@
-"""The learner: from a PoseLog to a kinematic tree and its joint states."""
+"""The learner: from a PoseLog to a kinematic tree and its joint states. `station.fit(log)` calls `fit` below."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from station.callable_module import CallableModule
+
+if TYPE_CHECKING:
+    from station.fit.result import Fit
+    from station.logs import PoseLog
+
+__all__ = ["fit"]
+
+
+def fit(
+    log: PoseLog,
+    *,
+    method: str = "station",
+    criterion: str = "evidence",
+    joint_types: Sequence[str] = ("rigid", "prismatic", "revolute"),
+    root: str | None = None,
+    include_reference: bool = False,
+) -> Fit:
+    """Discover which parts of a log are one body, which joints connect the bodies, and the joints' states over time.
+
+    Args:
+        log: poses of K parts at T times; NaN where a part was not seen.
+        method: how to fit: "station".
+        criterion: how joint types are compared: "evidence", "bic", "aic" or "aicc".
+        joint_types: the candidates between two bodies.
+        root: part whose body becomes the tree's root; None takes the one that moves least.
+        include_reference: whether the frame that the poses are in is a part itself, a static one. It always is where
+            the log has but one part: a door in front of a camera is a hinge.
+
+    Returns:
+        The tree, with `warnings` in plain sentences, and its joints' states [rad or m] with their standard deviations
+        at the log's times; NaN where a joint was not seen or the frame is an outlier.
+
+    Raises:
+        InvalidData: a StationError: options that don't exist, a covariance that is none, parts that were never seen
+            together often enough.
+    """
+    _check_kinds(log, joint_types)
+    # Imported here so that `import station.fit` is light.
+    from station.fit.learner import learn
+    from station.fit.options import FitOptions
+
+    options = FitOptions(
+        method=method,
+        criterion=criterion,
+        joint_types=tuple(joint_types),
+        root=root,
+        include_reference=include_reference,
+    )
+    return learn(log, options)
+
+
+def _check_kinds(log: object, joint_types: object) -> None:
+    """Raise InvalidData for what would end confusingly: a path for a log, one text for names."""
+    from station.errors import InvalidData
+    from station.logs import PoseLog
+
+    if not isinstance(log, PoseLog):
+        raise InvalidData(
+            f"fit wants a PoseLog; have a {type(log).__name__}\n"
+            "make one from arrays with station.PoseLog, or read a file with station.read_pose_log"
+        )
+    if isinstance(joint_types, str):
+        raise InvalidData(f"joint_types is the text '{joint_types}'; want a sequence of names: ('{joint_types}',)")
+
+
+sys.modules[__name__].__class__ = CallableModule

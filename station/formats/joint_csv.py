@@ -1,4 +1,4 @@
-"""joint_states.csv and commands.csv: `t_s`, then a column a joint (rad or m), then maybe `<joint>_std` columns."""
+"""joint_states.csv and commands.csv: `t_s`, a column a joint (rad or m; three of a ball), maybe `<joint>_std` ones."""
 
 from __future__ import annotations
 
@@ -56,12 +56,12 @@ def parse_joint_states(text: str, name: str, units: Mapping[str, str] | None = N
         InvalidFile: for columns that are no joints' names and, with the row, for times that don't increase and for what
             is no finite number.
     """
-    table = _table(text, name)
+    table = _table(text, name, least_joints=0)  # a tree without joints has no states, at the times of its log
     joints = [c for c in table.columns if c != "t_s" and not _is_std(c, table.columns)]
     deviations = [joint + STD_SUFFIX for joint in joints]
     has_std = any(column in table.columns for column in deviations)
     t_s = table.times("t_s", repeats=False)
-    std = _columns(table, deviations) if has_std else None
+    std = _deviations(table, deviations) if has_std else None
     return JointLog(t_s, tuple(joints), _columns(table, joints), _units(joints, units), std)
 
 
@@ -70,15 +70,15 @@ def parse_commands(text: str, name: str, units: Mapping[str, str] | None = None)
 
     Every column is a joint here, whatever its name ends in.
     """
-    table = _table(text, name)
+    table = _table(text, name, least_joints=1)
     joints = [column for column in table.columns if column != "t_s"]
     return JointLog(table.times("t_s", repeats=False), tuple(joints), _columns(table, joints), _units(joints, units))
 
 
-def _table(text: str, name: str) -> Table:
+def _table(text: str, name: str, *, least_joints: int) -> Table:
     table = parse_csv(text, name)
     columns = list(table.columns)
-    if columns[0] != "t_s" or len(columns) < 2:
+    if columns[0] != "t_s" or len(columns) < 1 + least_joints:
         raise InvalidFile(f"{name}: columns {','.join(columns)}; want t_s, then a column for each joint")
     for column in columns[1:]:
         if not SLUG.fullmatch(column):
@@ -92,8 +92,20 @@ def _is_std(column: str, columns: Collection[str]) -> bool:
 
 def _columns(table: Table, names: list[str]) -> FloatArray:
     """(N, len(names)); NaN for blanks and for columns that aren't there."""
-    missing = np.full(len(table.rows), np.nan)
-    return np.stack([table.floats(name) if name in table.columns else missing for name in names], axis=-1)
+    columns = np.full((len(table.rows), len(names)), np.nan)
+    for i, name in enumerate(names):
+        if name in table.columns:
+            columns[:, i] = table.floats(name)
+    return columns
+
+
+def _deviations(table: Table, names: list[str]) -> FloatArray:
+    std = _columns(table, names)
+    wrong = np.argwhere(std < 0)
+    if len(wrong):
+        i, j = (int(index) for index in wrong[0])
+        raise table.refusal(i, f"{names[j]} is {std[i, j]:g}; want 0 or more, or nothing if unknown")
+    return std
 
 
 def _units(joints: list[str], units: Mapping[str, str] | None) -> tuple[str, ...]:

@@ -11,7 +11,7 @@ import numpy as np
 from station.errors import InvalidFile
 from station.formats.table import Table
 from station.kinematics import se3
-from station.logs import SLUG, FloatArray, PoseLog
+from station.logs import FARTHEST_M, SLUG, FloatArray, PoseLog
 
 # Quaternions in files are rounded; a length off by more than this is no rotation but a fault, or another column order.
 QUATERNION_TOLERANCE = 1e-3
@@ -24,8 +24,13 @@ def slug_of_file(name: str) -> str:
 
 
 def read_positions(table: Table, columns: Sequence[str]) -> FloatArray:
-    """(N, 3) of three columns, none blank; raises InvalidFile with the row."""
-    return np.stack([table.filled_floats(column) for column in columns], axis=-1)
+    """(N, 3) of three columns, none blank, none beyond `FARTHEST_M`; raises InvalidFile with the row."""
+    positions = np.stack([table.filled_floats(column) for column in columns], axis=-1)
+    far = np.argwhere(np.abs(positions) > FARTHEST_M)
+    if len(far):
+        i, axis = (int(index) for index in far[0])
+        raise table.refusal(i, f"{columns[axis]} is {positions[i, axis]:g}; want metres, {FARTHEST_M:g} at most")
+    return positions
 
 
 def read_quaternions(table: Table, columns: Sequence[str]) -> FloatArray:
@@ -41,7 +46,7 @@ def read_quaternions(table: Table, columns: Sequence[str]) -> FloatArray:
     torn = np.flatnonzero((blanks > 0) & (blanks < 4))
     if torn.size:
         raise table.refusal(int(torn[0]), "part of the quaternion is blank; want four numbers, or none (position only)")
-    length = np.linalg.norm(wxyz, axis=-1)
+    length = np.linalg.norm(np.clip(wxyz, -FARTHEST_M, FARTHEST_M), axis=-1)  # clipped, so that nothing overflows
     off = np.flatnonzero(np.abs(length - 1) > QUATERNION_TOLERANCE)
     if off.size:
         i = int(off[0])
@@ -89,7 +94,7 @@ def pose_log_of_rows(
             raise table.refusal(list(parts).index(name), f"'{name}' is no part's name; names match [a-z][a-z0-9_]*")
     index = {name: k for k, name in enumerate(names)}
     k = np.array([index[name] for name in parts])
-    is_new = np.diff(t_s, prepend=-np.inf) > 0
+    is_new = np.concatenate([[True], t_s[1:] > t_s[:-1]])
     row = np.cumsum(is_new) - 1
     _check_no_part_twice(table, row * len(names) + k, t_s, parts)
     shape = (int(row[-1]) + 1, len(names))

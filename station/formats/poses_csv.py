@@ -23,7 +23,7 @@ from station.formats.pose_rows import (
 )
 from station.formats.table import Table, parse_csv
 from station.kinematics import se3
-from station.logs import FloatArray, PoseLog
+from station.logs import FARTHEST_M, SHARPEST, FloatArray, PoseLog
 
 POSITION = ("x_m", "y_m", "z_m")
 QUATERNION = ("qw", "qx", "qy", "qz")
@@ -107,9 +107,10 @@ def _covariance(table: Table, position_only: np.ndarray) -> FloatArray | None:
 
 def _read_std(table: Table, column: str) -> FloatArray:
     std = table.floats(column)
-    wrong = np.flatnonzero(std <= 0)
+    wrong = np.flatnonzero((std < SHARPEST) | (std > FARTHEST_M))
     if wrong.size:
-        raise table.refusal(int(wrong[0]), f"{column} is {std[wrong[0]]:g}; want more than 0, or nothing if unknown")
+        want = f"want more than 0 ({SHARPEST:g} to {FARTHEST_M:g}), or nothing if unknown"
+        raise table.refusal(int(wrong[0]), f"{column} is {std[wrong[0]]:g}; {want}")
     return std
 
 

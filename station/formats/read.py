@@ -1,10 +1,13 @@
-"""Reads a pose log from a path: the file's ending and its first line choose the importer."""
+"""Reads logs from a path: of a pose log the file's ending and its first line choose the importer."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from os import PathLike
 from pathlib import Path
 
 from station.errors import InvalidFile
+from station.formats.joint_csv import parse_commands
 from station.formats.legacy_aruco import COLUMNS as LEGACY_COLUMNS
 from station.formats.legacy_aruco import parse_legacy_aruco
 from station.formats.poses_csv import COLUMNS as POSES_COLUMNS
@@ -14,7 +17,7 @@ from station.formats.text import read_text
 from station.formats.tracks import parse_track
 from station.formats.tum import COLUMNS as TUM_COLUMNS
 from station.formats.tum import parse_tum, parse_tum_files
-from station.logs import PoseLog
+from station.logs import JointLog, PoseLog
 
 WORDS_ENDINGS = (".log", ".txt", ".tum")
 READABLE = (
@@ -25,7 +28,7 @@ READABLE = (
 )
 
 
-def read_pose_log(path: Path, *others: Path) -> PoseLog:
+def read_pose_log(path: str | PathLike[str], *others: str | PathLike[str]) -> PoseLog:
     """Read the poses in a file, in a folder of TUM files, or in several TUM files.
 
     Args:
@@ -50,6 +53,20 @@ def read_pose_log(path: Path, *others: Path) -> PoseLog:
     if ending in WORDS_ENDINGS:
         return _parse_words(text, path.name)
     raise _unreadable(path.name, f"ends in '{ending}'" if ending else "has no ending")
+
+
+def read_commands(path: str | PathLike[str], units: Mapping[str, str] | None = None) -> JointLog:
+    """Read a commands.csv: `t_s`, then a column a joint.
+
+    Args:
+        path: of the file.
+        units: "rad" or "m" by joint, which the file doesn't tell; joints that aren't in it are in rad.
+
+    Raises:
+        InvalidFile: with the file's name, for what is missing, no text, or wrong in some row.
+    """
+    path = Path(path)
+    return parse_commands(read_text(path, "commands"), path.name, units)
 
 
 def _parse_csv(text: str, name: str) -> PoseLog:

@@ -56,8 +56,8 @@ class Table:
     def times(self, column: str, *, repeats: bool) -> FloatArray:
         """(N,) seconds of a column that never fall and, unless they may, never repeat; raises InvalidFile."""
         t_s = self.filled_floats(column)
-        steps = np.diff(t_s)
-        wrong = np.flatnonzero(steps < 0 if repeats else steps <= 0)
+        before, after = t_s[:-1], t_s[1:]
+        wrong = np.flatnonzero(after < before if repeats else after <= before)
         if wrong.size:
             i = int(wrong[0]) + 1
             rule = "times never fall" if repeats else "times increase"

@@ -1,0 +1,87 @@
+"""A fit's folder: kinematics.json, joint_states.csv, kinematics.urdf and a drawing of tree and states."""
+
+from __future__ import annotations
+
+from os import PathLike
+from pathlib import Path
+
+from station.comparison_files import write_files
+from station.errors import InvalidFile, StationError
+from station.fit.result import Fit
+from station.formats.joint_csv import format_joint_states, parse_joint_states
+from station.formats.text import read_text
+from station.formats.urdf import TYPE_OF_URDF, to_urdf
+from station.kinematics.tree import KinematicTree
+from station.kinematics.tree_json import from_json, to_json
+from station.session import check_output_folder
+
+TREE_FILE = "kinematics.json"
+STATES_FILE = "joint_states.csv"
+URDF_FILE = "kinematics.urdf"
+TREE_NAME = "fitted"
+TREE_FIGURE = "tree"
+
+
+def write_fit(fit: Fit, folder: str | PathLike[str], *, force: bool = False) -> None:
+    """Write kinematics.json, joint_states.csv, kinematics.urdf, tree.png and tree.svg.
+
+    The URDF is left out where it can't hold the tree; see `why_no_urdf`.
+
+    Args:
+        fit: what `station.fit` returned.
+        folder: new or empty; made if it isn't there.
+        force: overwrite what is in the folder.
+
+    Raises:
+        StationError: an occupied folder, one that can't be written.
+    """
+    from station.report import save_figure, tree_figure
+
+    folder = Path(folder)
+    check_output_folder(folder, force=force)
+    texts = {STATES_FILE: format_joint_states(fit.states), TREE_FILE: to_json(fit.tree)}
+    if why_no_urdf(fit.tree) is None:
+        texts[URDF_FILE] = to_urdf(fit.tree, TREE_NAME)
+    figure = tree_figure(fit.tree, fit.states)
+    try:
+        save_figure(figure, folder / TREE_FIGURE)
+        write_files(folder, {name: text.encode() for name, text in texts.items()})
+        if URDF_FILE not in texts:  # that of an earlier fit
+            (folder / URDF_FILE).unlink(missing_ok=True)
+    except OSError as error:
+        raise StationError(f"can't write the fit into '{folder}': {error.strerror}; name another folder") from error
+
+
+def why_no_urdf(tree: KinematicTree) -> str | None:
+    """Why URDF can't hold a tree, in a sentence that names the joint; None if it can."""
+    for joint in tree.joints:
+        if joint.type not in TYPE_OF_URDF.values():
+            return f"{URDF_FILE} is left out: URDF has no {joint.type} joint, which {joint.name} is"
+    return None
+
+
+def read_fit(folder: str | PathLike[str]) -> Fit:
+    """Read a fit's tree and joint states back from the folder that they were written to.
+
+    Raises:
+        InvalidFile: a StationError: files that are missing, torn, of another schema, or don't belong together.
+    """
+    folder = Path(folder)
+    if not (folder / TREE_FILE).exists():
+        raise InvalidFile(
+            f"{folder} has no {TREE_FILE}: nothing was fitted there yet\nrun: station fit INPUT --out {folder}"
+        )
+    tree = read_tree(folder / TREE_FILE)
+    path = folder / STATES_FILE
+    states = parse_joint_states(read_text(path, "joint states"), str(path), tree.units)
+    missing = [column for column in tree.columns if column not in states.joints]
+    if missing:
+        have = ", ".join(states.joints) or "none"
+        raise InvalidFile(f"{path} has no column {missing[0]}, a joint's of the {TREE_FILE} beside it; have {have}")
+    return Fit(tree, states)
+
+
+def read_tree(path: str | PathLike[str]) -> KinematicTree:
+    """Read a kinematics.json; raises InvalidFile, a StationError, for what is missing, torn, or no tree."""
+    path = Path(path)
+    return from_json(read_text(path, "tree"), str(path))
