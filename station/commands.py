@@ -20,7 +20,7 @@ from station.compare import compare as compare_logs
 from station.comparison_files import write_comparison
 from station.errors import InvalidData, InvalidFile, StationError
 from station.fit.learner import Fit, FitOptions, learn
-from station.fit_files import read_fit, why_no_urdf, write_fit
+from station.fit_files import read_fit, write_fit
 from station.formats.camera import format_camera, parse_camera
 from station.formats.markers import format_markers, parse_markers
 from station.formats.motion import parse_motion
@@ -231,9 +231,7 @@ def fit(source: Path, out: Path | None = None, *, options: FitOptions | None = N
         from station.recording import append_detected
 
         append_detected(source, found.states, found.tree, poses)
-    without = why_no_urdf(found.tree)
-    notices = (*(session.recording.notices if session else ()), *((without,) if without else ()))
-    return FitResult(out, found, notices)
+    return FitResult(out, found, session.recording.notices if session else ())
 
 
 def _named_by_commands(found: Fit, recording: Recording) -> Fit:

@@ -10,7 +10,7 @@ from station.errors import InvalidFile, StationError
 from station.fit.result import Fit
 from station.formats.joint_csv import format_joint_states, parse_joint_states
 from station.formats.text import read_text
-from station.formats.urdf import TYPE_OF_URDF, to_urdf
+from station.formats.urdf import to_urdf
 from station.kinematics.tree import KinematicTree
 from station.kinematics.tree_json import from_json, to_json
 from station.session import check_output_folder
@@ -25,8 +25,6 @@ TREE_FIGURE = "tree"
 def write_fit(fit: Fit, folder: str | PathLike[str], *, force: bool = False) -> None:
     """Write kinematics.json, joint_states.csv, kinematics.urdf, tree.png and tree.svg.
 
-    The URDF is left out where it can't hold the tree; see `why_no_urdf`.
-
     Args:
         fit: what `station.fit` returned.
         folder: new or empty; made if it isn't there.
@@ -39,25 +37,17 @@ def write_fit(fit: Fit, folder: str | PathLike[str], *, force: bool = False) -> 
 
     folder = Path(folder)
     check_output_folder(folder, force=force)
-    texts = {STATES_FILE: format_joint_states(fit.states), TREE_FILE: to_json(fit.tree)}
-    if why_no_urdf(fit.tree) is None:
-        texts[URDF_FILE] = to_urdf(fit.tree, TREE_NAME)
+    texts = {
+        URDF_FILE: to_urdf(fit.tree, TREE_NAME),
+        STATES_FILE: format_joint_states(fit.states),
+        TREE_FILE: to_json(fit.tree),
+    }
     figure = tree_figure(fit.tree, fit.states)
     try:
         save_figure(figure, folder / TREE_FIGURE)
         write_files(folder, {name: text.encode() for name, text in texts.items()})
-        if URDF_FILE not in texts:  # that of an earlier fit
-            (folder / URDF_FILE).unlink(missing_ok=True)
     except OSError as error:
         raise StationError(f"can't write the fit into '{folder}': {error.strerror}; name another folder") from error
-
-
-def why_no_urdf(tree: KinematicTree) -> str | None:
-    """Why URDF can't hold a tree, in a sentence that names the joint; None if it can."""
-    for joint in tree.joints:
-        if joint.type not in TYPE_OF_URDF.values():
-            return f"{URDF_FILE} is left out: URDF has no {joint.type} joint, which {joint.name} is"
-    return None
 
 
 def read_fit(folder: str | PathLike[str]) -> Fit:

@@ -19,7 +19,6 @@ from scipy.spatial.transform import Rotation
 import station
 from station.errors import InvalidData, InvalidFile, OutputExists
 from station.fit.options import FitOptions
-from station.fit_files import why_no_urdf
 
 FRAMES = 40
 SOURCE = Path(station.__file__).read_text("utf-8")
@@ -172,15 +171,12 @@ def test_a_fit_without_joints_is_read_back_too(tmp_path: Path):
     assert again.tree.rigid_groups == (("camera", "door"),) and len(again.states.t_s) == FRAMES
 
 
-def test_a_joint_that_urdf_does_not_have_costs_the_urdf_alone(fitted: station.Fit, tmp_path: Path):
+def test_a_screw_is_written_and_read_back(fitted: station.Fit, tmp_path: Path):
     (joint,) = fitted.tree.joints
     thread = replace(joint, type="screw", pitch_m_per_rad=0.01)
     screw = replace(fitted, tree=replace(fitted.tree, joints=(thread,)))
-    assert why_no_urdf(fitted.tree) is None
-    assert why_no_urdf(screw.tree) == "kinematics.urdf is left out: URDF has no screw joint, which camera__door is"
-    station.write_fit(fitted, tmp_path)
-    station.write_fit(screw, tmp_path, force=True)
-    assert {path.name for path in tmp_path.iterdir()} == {"kinematics.json", "joint_states.csv", "tree.png", "tree.svg"}
+    station.write_fit(screw, tmp_path)
+    assert (tmp_path / "kinematics.urdf").exists()
     assert station.read_fit(tmp_path).tree.joints[0].pitch_m_per_rad == 0.01
 
 

@@ -135,19 +135,20 @@ def oriented_pairs(bodies: Bodies, pairs: IntArray) -> IntArray:
     return np.where(swap[:, None], pairs[:, ::-1], pairs)
 
 
-def pair_tracks(bodies: Bodies, pairs: IntArray, *, at_most: int | None = None) -> PairTracks:
+def pair_tracks(
+    bodies: Bodies, pairs: IntArray, *, at_most: int | None = None, rows: IntArray | None = None
+) -> PairTracks:
     """Relative poses of pairs (P, 2) of bodies, parent first, with their noise.
 
     Args:
         bodies: where the poses are.
         pairs: (P, 2).
-        at_most: frames to keep of each pair, spread evenly over those that it was seen in; all frames of the log if
-            None.
+        at_most: frames to keep of each pair, spread evenly over those that it was seen in; None for all.
+        rows: (P, N) frames to keep instead.
     """
     a, b = pairs[:, :1], pairs[:, 1:]
-    rows = np.arange(len(bodies.seen))[None]
-    if at_most is not None:
-        rows = _spread_rows(bodies.oriented[:, a[:, 0]] & bodies.seen[:, b[:, 0]], at_most)
+    if rows is None:
+        rows = np.arange(len(bodies.seen))[None] if at_most is None else _spread_rows(bodies, pairs, at_most)
     seen = bodies.oriented[rows, a] & bodies.seen[rows, b]
     oriented = seen & bodies.oriented[rows, b]
     T_a_b = np.where(
@@ -160,11 +161,12 @@ def pair_tracks(bodies: Bodies, pairs: IntArray, *, at_most: int | None = None) 
     return PairTracks(T_a_b, seen, oriented, noise, bodies.scene_m3)
 
 
-def _spread_rows(seen: BoolArray, at_most: int) -> IntArray:
-    """(P, N) rows of frames, N <= at_most, spread evenly over the frames (T, P) in which each pair was seen, in order.
+def _spread_rows(bodies: Bodies, pairs: IntArray, at_most: int) -> IntArray:
+    """(P, N) rows of frames, N <= at_most, spread evenly over those in which each pair (P, 2) was seen, in order.
 
     A pair that was seen less often is filled up with frames in which it was not seen.
     """
+    seen = bodies.oriented[:, pairs[:, 0]] & bodies.seen[:, pairs[:, 1]]
     count = seen.sum(axis=0)
     N = int(min(at_most, max(count.max(initial=0), 1)))
     order = np.argsort(~seen, axis=0, kind="stable").T  # seen frames first, each kind in order of time

@@ -18,8 +18,9 @@ from station.fit import pairwise
 from station.fit.bodies import Bodies, oriented_pairs, pair_tracks
 from station.fit.pairwise import COST_TOLERANCE, LM_ITERATIONS, JointFit, PairTracks
 from station.fit.parallel import each
+from station.fit.rare_motion import moved_rarely
 from station.fit.selection import Scores, score_fits
-from station.fit.structure import contenders
+from station.fit.structure import contenders, spanning_forest
 from station.logs import FloatArray
 
 BoolArray = NDArray[np.bool_]
@@ -69,7 +70,9 @@ class PairTable:
         careful: (P,) fitted with care; the others can be no edges, and what is known of them is of a first look.
         scores: of all types.
         scales: (P, S) noise scales of the best type.
-        rigid: (P,) the best type is rigid, and its noise is what its parts have elsewhere.
+        still: (P,) known not to have moved in a few frames among many.
+        moved: (P,) known to have.
+        rigid: (P,) the best type is rigid, its noise is what its parts have elsewhere, and it isn't known to have moved.
         T_a_b: (P, 4, 4) pose of the best type at the state 0.
     """
 
@@ -79,6 +82,8 @@ class PairTable:
     careful: BoolArray
     scores: Scores
     scales: FloatArray
+    still: BoolArray
+    moved: BoolArray
     rigid: BoolArray
     T_a_b: FloatArray
 
@@ -136,7 +141,23 @@ def compare_pairs(
     while todo.any():  # what a careful look finds may make contenders of other pairs
         table = _looked_at(bodies, table, todo, joint_types, COMPARING)
         todo = _undecided(table, barred, len(bodies.names))
+        if not todo.any():
+            table = _with_rare_motion(bodies, table, barred, joint_types)
+            todo = _undecided(table, barred, len(bodies.names))
     return table
+
+
+def _with_rare_motion(bodies: Bodies, table: PairTable, barred: BoolArray, joint_types: Sequence[str]) -> PairTable:
+    """The table with all frames of the forest's rigid edges looked at, until each is."""
+    while True:
+        edges = spanning_forest(len(bodies.names), table.pairs, _edge_weights(table, barred))
+        new = edges[table.rigid[edges] & ~table.still[edges]]
+        if not new.size:
+            return table
+        found = moved_rarely(bodies, table.pairs[new], table.T_a_b[new], table.scales[new], joint_types)
+        still, moved = table.still.copy(), table.moved.copy()
+        still[new], moved[new] = ~found, found
+        table = replace(table, still=still, moved=moved, rigid=table.rigid & ~moved)
 
 
 def edge_weights(table: PairTable, only_rigid: BoolArray) -> FloatArray:
@@ -174,6 +195,8 @@ def _nothing_known(bodies: Bodies, pairs: IntArray, joint_types: Sequence[str], 
         careful=no,
         scores=Scores(criterion, dict.fromkeys(joint_types, never), never, no),
         scales=np.ones((P, 2 if bodies.covariance is None else 1)),
+        still=no,
+        moved=no,
         rigid=no,
         T_a_b=np.tile(np.eye(4), (P, 1, 1)),
     )
@@ -217,26 +240,25 @@ def _look(
     fits = _fit_types(tracks, joint_types, effort)
     scores = score_fits(fits, tracks, table.scores.criterion)
     best = np.argmin(np.stack([scores.by_type[name] for name in fits]), axis=0)
-    frames = [fit.model.frames for fit in fits.values()]
-    T_a_b = np.stack([f.T_parent_axis @ f.T_axis_child for f in frames])
+    T_a_b = np.stack([f.model.frames.T_parent_axis @ f.model.frames.T_axis_child for f in fits.values()])
     scales = np.stack([fit.model.scales for fit in fits.values()])
     scores = replace(scores, weight=scores.weight * table.counted[rows] / tracks.seen.sum(axis=-1))
     return scores, scales[best, np.arange(len(rows))], T_a_b[best, np.arange(len(rows))]
 
 
 def _rigid(table: PairTable, bodies: Bodies) -> BoolArray:
-    """(P,) rigid is the likeliest type, and the noise is near the least that one of the parts has in any pair.
+    """(P,) rigid is the likeliest type, and the noise is near that of the pair in which one of the parts fits best.
 
     A free motion has no joint, and rigid is the least of all that fail; its residuals are then motion and not noise.
     """
     if "rigid" not in table.scores.by_type:
         return np.zeros(len(table.pairs), dtype=bool)
-    least = np.full((len(bodies.names), table.scales.shape[-1]), np.inf)
-    known = table.careful if table.careful.any() else table.enough
-    for end in (0, 1):
-        np.minimum.at(least, table.pairs[known, end], table.scales[known])
-    least[~bodies.noisy] = 0.0
-    usual = np.maximum(least[table.pairs[:, 0]], least[table.pairs[:, 1]])
+    usual = np.full((len(bodies.names), table.scales.shape[-1]), np.inf)
+    known = np.flatnonzero(table.careful if table.careful.any() else table.enough)
+    worst_first = known[np.argsort(-(table.scores.weight[known] / table.counted[known]), kind="stable")]
+    usual[table.pairs[worst_first]] = table.scales[worst_first][:, None]  # of several the last one stays
+    usual[~bodies.noisy] = 0.0
     likeliest = np.min(np.stack(list(table.scores.by_type.values())), axis=0)
-    rigid: BoolArray = table.enough & (table.scores.by_type["rigid"] <= likeliest)
-    return rigid & np.all(table.scales <= MISFIT**2 * usual, axis=-1)
+    rigid: BoolArray = table.enough & ~table.moved & (table.scores.by_type["rigid"] <= likeliest)
+    most = np.maximum(usual[table.pairs[:, 0]], usual[table.pairs[:, 1]])
+    return rigid & np.all(table.scales <= MISFIT**2 * most, axis=-1)

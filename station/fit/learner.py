@@ -5,40 +5,37 @@
 3. parts that are rigid to each other become one body, told by all of them (subclusters, bodies); those that are rigid
    to the log's reference frame stand still, and share one pose for all frames;
 4. again from 1 with bodies for parts, until no rigid joint is left;
-5. orient the joints from the root outward, fit all of a tree at once (whole_tree), read off axes and states
-(tree_reading).
+5. where several bodies move along one line, take the likeliest of their trees (ambiguity);
+6. orient the joints from the root outward, fit all of a tree at once (whole_tree), read off axes and states
+(tree_reading), and say what is uncertain (remarks).
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from station.errors import InvalidData
+from station.fit.ambiguity import Doubt, settled
 from station.fit.bodies import Group, bodies_of_log, scaled_by_part, with_reference
 from station.fit.comparison import MIN_FRAMES, PairTable, compare_pairs, edge_weights
 from station.fit.fusion import fused_bodies, refined_mounts
-from station.fit.options import FitOptions
+from station.fit.options import FitOptions, check_options
 from station.fit.reading import JointReading
+from station.fit.remarks import remarks
 from station.fit.result import Fit
-from station.fit.selection import check_criterion
+from station.fit.selection import CRITERIA, Scores
 from station.fit.structure import components, outward, shallowest, spanning_forest
 from station.fit.subclusters import merged, singles
 from station.fit.tree_reading import REFERENCE, Structure, named_member, read_tree
-from station.kinematics.joints import JOINT_TYPES
 from station.kinematics.tree import Joint, KinematicTree
 from station.logs import FloatArray, JointLog, PoseLog
 
 BoolArray = NDArray[np.bool_]
 IntArray = NDArray[np.intp]
-
-METHODS = ("station",)
-# An axis that is known no better than this [rad] is reported as not identifiable.
-UNCERTAIN_AXIS_RAD = np.radians(5.0)
-# Less travel than this [rad, m] is what makes an axis uncertain; with more it is the noise.
-SMALL_TRAVEL = {"rad": np.radians(15.0), "m": 0.05}
 
 
 def learn(log: PoseLog, options: FitOptions | None = None) -> Fit:
@@ -50,25 +47,22 @@ def learn(log: PoseLog, options: FitOptions | None = None) -> Fit:
     options = FitOptions() if options is None else options
     include = options.include_reference or len(log.parts) == 1
     _check(log, options, include)
-    structure = _find_structure(log, options, include)
+    if options.method == "paper":
+        from station.fit.paper import learn_paper  # only who asks for it waits for it
+
+        return learn_paper(log, options)
+    joints_only = replace(options, joint_types=options.joints)
+    structure, doubts = settled(_find_structure(log, joints_only, include), options.joints)
     roots = _roots(structure, log, options, include)
-    return _assembled(log, options, structure, roots, include)
+    return _assembled(log, options, structure, roots, doubts, include)
 
 
 def _check(log: PoseLog, options: FitOptions, include: bool) -> None:
-    if options.method not in METHODS:
-        raise InvalidData(f"method '{options.method}' is unknown; choose one of {', '.join(METHODS)}")
-    check_criterion(options.criterion)
-    unknown = [name for name in options.joint_types if name not in JOINT_TYPES]
-    if unknown or not options.joint_types:
-        raise InvalidData(f"joint types {options.joint_types}; want one or more of {', '.join(JOINT_TYPES)}")
-    names = (*log.parts, log.reference) if include else log.parts
-    if include and log.reference in log.parts:
-        raise InvalidData(f"a part has the reference frame's name '{log.reference}'; rename one")
-    if options.root is not None and options.root not in names:
-        raise InvalidData(f"no part '{options.root}' for a root; have {', '.join(names)}")
     if not log.parts:
         raise InvalidData("the log has no parts; want at least one")
+    if include and log.reference in log.parts:
+        raise InvalidData(f"a part has the reference frame's name '{log.reference}'; rename one")
+    check_options(options, (*log.parts, log.reference) if include else log.parts)
 
 
 def _find_structure(log: PoseLog, options: FitOptions, include: bool) -> Structure:
@@ -153,24 +147,43 @@ def _root_of(tree: list[int], structure: Structure, wanted: int | None) -> int:
     return shallowest(tree, structure.edges)
 
 
-def _assembled(log: PoseLog, options: FitOptions, structure: Structure, roots: list[int], include: bool) -> Fit:
+def _assembled(
+    log: PoseLog, options: FitOptions, structure: Structure, roots: list[int], doubts: Sequence[Doubt], include: bool
+) -> Fit:
     groups, names = structure.groups, structure.parts.names
     body_name = [names[group.members[named_member(group, include=include)]] for group in groups]
-    read = [item for root in roots for item in read_tree(structure, root, options, include=include)]
-    joints = [r.joint(body_name[a], body_name[b], scores, i) for a, b, r, scores, i in read]
+    joints_only = replace(options, joint_types=options.joints)
+    read = [item for root in roots for item in read_tree(structure, root, joints_only, include=include)]
+    joints = [
+        _scored(r.joint(body_name[a], body_name[b], scores, i), scores, i, options) for a, b, r, scores, i in read
+    ]
+    readings = [reading for _, _, reading, _, _ in read]
     kept = [k for k, group in enumerate(groups) if include or group.members != (REFERENCE,)]
     rigid = [tuple(names[i] for i in groups[k].members if include or i != REFERENCE) for k in kept]
-    trees = [[root, *(b for _, b, _ in outward(root, structure.edges))] for root in roots]
+    bodies = [[root, *(b for _, b, _ in outward(root, structure.edges))] for root in roots]
+    trees = tuple(tuple(body_name[k] for k in tree) for tree in bodies)
+    by_edge = {tuple(sorted(item[:2])): joint for item, joint in zip(read, joints, strict=True)}
+    told = [(by_edge[d.edge], body_name[d.other[0]], body_name[d.other[1]], d.odds) for d in doubts]
     tree = KinematicTree(
         root=body_name[roots[0]],
         parts=names if include else names[1:],
         rigid_groups=tuple(group for group in rigid if len(group) > 1),
-        trees=tuple(tuple(body_name[k] for k in tree) for tree in trees),
+        trees=trees,
         joints=tuple(joints),
         method={"name": options.method, "criterion": options.criterion, "joint_types": list(options.joint_types)},
-        warnings=_warnings(log, joints, trees),
+        warnings=remarks(log, joints, readings, trees, told),
     )
-    return Fit(tree, _states(log, joints, [reading for _, _, reading, _, _ in read]))
+    return Fit(tree, _states(log, joints, readings))
+
+
+def _scored(joint: Joint, scores: Scores, pair: int, options: FitOptions) -> Joint:
+    """The joint with the scores of all criteria, and the probabilities of all candidates."""
+    return replace(
+        joint,
+        scores={"criterion": scores.criterion, **scores.told(pair, scores.criterion, free=options.free)},
+        criteria={name: scores.told(pair, name, free=options.free) for name in CRITERIA},
+        probability=scores.probabilities(pair, free=options.free),
+    )
 
 
 def _states(log: PoseLog, joints: Sequence[Joint], readings: Sequence[JointReading]) -> JointLog:
@@ -180,27 +193,3 @@ def _states(log: PoseLog, joints: Sequence[Joint], readings: Sequence[JointReadi
     std = np.concatenate([nothing, *(r.std for r in readings)], axis=-1)
     columns = [(name, joint.unit) for joint in joints for name in joint.columns]
     return JointLog(log.t_s, tuple(name for name, _ in columns), q, tuple(unit for _, unit in columns), std)
-
-
-def _warnings(log: PoseLog, joints: Sequence[Joint], trees: Sequence[Sequence[int]]) -> tuple[str, ...]:
-    seen = np.array(log.seen).sum(axis=0)
-    found = [
-        f"{part} was seen in {n} of {len(log.t_s)} frames: too few to join it to anything (want {MIN_FRAMES})"
-        for part, n in zip(log.parts, seen, strict=True)
-        if n < MIN_FRAMES
-    ]
-    for joint in joints:
-        if joint.axis_std_rad is None or joint.axis_std_rad < UNCERTAIN_AXIS_RAD or joint.state_max is None:
-            continue
-        travel = joint.state_max - (joint.state_min or 0.0)
-        unit = JOINT_TYPES[joint.type].unit or "rad"
-        moved = f"{np.degrees(travel):.1f} deg" if unit == "rad" else f"{travel * 1e3:.1f} mm"
-        if travel < SMALL_TRAVEL[unit]:
-            found.append(f"{joint.name} moved only {moved}: its axis is not identifiable")
-        else:
-            found.append(f"{joint.name}: its axis is known to {np.degrees(joint.axis_std_rad):.0f} deg only")
-    if not joints:
-        found.append("no part moved against another: the tree has no joints")
-    elif len(trees) > 1:
-        found.append(f"nothing connects the {len(trees)} trees: their parts were not seen together, or move freely")
-    return tuple(found)

@@ -2,7 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+
+from station.errors import InvalidData
+from station.fit.selection import FREE, check_criterion
+from station.kinematics.joints import JOINT_TYPES
+
+METHODS = ("station", "paper")
 
 
 @dataclass(frozen=True)
@@ -10,9 +17,9 @@ class FitOptions:
     """How to learn a tree.
 
     Attributes:
-        method: "station".
-        criterion: how joint types are compared; see `selection`.
-        joint_types: the candidates.
+        method: "station", or "paper" for the paper's, step by step.
+        criterion: how joint types are compared; see `criteria`.
+        joint_types: the candidates; "free", the hypothesis that nothing joins two parts, may be one of them.
         root: part whose body becomes the root; None lets the fit choose.
         include_reference: whether the log's reference frame is a part; it always is when there is but one other.
     """
@@ -22,3 +29,36 @@ class FitOptions:
     joint_types: tuple[str, ...] = ("rigid", "prismatic", "revolute")
     root: str | None = None
     include_reference: bool = False
+
+    @property
+    def free(self) -> bool:
+        """Whether "free" is a candidate."""
+        return FREE in self.joint_types
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """The candidates that are joint types."""
+        return tuple(name for name in self.joint_types if name != FREE)
+
+
+def check_options(options: FitOptions, names: Sequence[str]) -> None:
+    """Raise InvalidData for what doesn't exist, with the choices; `names` are those of the parts."""
+    if options.method not in METHODS:
+        raise InvalidData(f"method '{options.method}' is unknown; choose one of {', '.join(METHODS)}")
+    check_criterion(options.criterion)
+    _check_joint_types(options)
+    if options.root is not None and options.root not in names:
+        raise InvalidData(f"no part '{options.root}' for a root; have {', '.join(names)}")
+
+
+def _check_joint_types(options: FitOptions) -> None:
+    have = ", ".join(options.joint_types) or "none"
+    want = f"want one or more of {', '.join(JOINT_TYPES)}, and {FREE} if parts may be left without a joint"
+    unknown = [name for name in options.joint_types if name not in (*JOINT_TYPES, FREE)]
+    if unknown:
+        raise InvalidData(f"joint type '{unknown[0]}' is unknown; {want}")
+    twice = sorted({name for name in options.joint_types if options.joint_types.count(name) > 1})
+    if twice:
+        raise InvalidData(f"joint type '{twice[0]}' is there twice in {have}; {want}")
+    if not options.joints:
+        raise InvalidData(f"joint types: {have}; {want}")

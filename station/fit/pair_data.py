@@ -27,6 +27,7 @@ class PairData:
         oriented: (P, T) seen, and the orientation was measured.
         noise: of the relative poses.
         log_outlier: (P, T) logarithm of the density of an outlier [1/m^3 or 1/(m^3 rad^3)]; 0 unseen.
+        scene_m: length of the scene.
     """
 
     R: FloatArray
@@ -35,6 +36,7 @@ class PairData:
     oriented: BoolArray
     noise: PairNoise
     log_outlier: FloatArray
+    scene_m: float
 
     def take(self, rows: IntArray | BoolArray) -> PairData:
         """The data of some of the pairs."""
@@ -45,11 +47,12 @@ class PairData:
             self.oriented[rows],
             self.noise.take(rows),
             self.log_outlier[rows],
+            self.scene_m,
         )
 
 
 def pair_data(
-    T_a_b: FloatArray, seen: BoolArray, oriented: BoolArray, noise: Noise, log_outlier: FloatArray
+    T_a_b: FloatArray, seen: BoolArray, oriented: BoolArray, noise: Noise, log_outlier: FloatArray, scene_m: float
 ) -> PairData:
     """Data of poses (P, T, 4, 4)."""
     R, t = entries_first(T_a_b)
@@ -57,4 +60,4 @@ def pair_data(
         ours: PairNoise = GivenNoise(given_whitening(noise.shape, R, seen, oriented), noise.least)
     else:
         ours = UnknownNoise(t, noise.noisy, seen, oriented, noise.least)
-    return PairData(R, t, seen, oriented, ours, log_outlier)
+    return PairData(R, t, seen, oriented, ours, log_outlier, scene_m)

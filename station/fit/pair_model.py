@@ -66,7 +66,8 @@ class PairTracks:
     @cached_property
     def data(self) -> PairData:
         """The same with entries first; worked out when it is first asked for."""
-        return pair_data(self.T_a_b, self.seen, self.oriented, self.noise, self.log_outlier_density)
+        scene_m = self.scene_m3 ** (1 / 3)
+        return pair_data(self.T_a_b, self.seen, self.oriented, self.noise, self.log_outlier_density, scene_m)
 
     def take(self, pairs: NDArray[np.intp] | slice) -> PairTracks:
         """The tracks of some of the pairs."""

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from station.fit.entrywise import entries_last
 from station.fit.pair_data import PairData
-from station.fit.pair_likelihood import Likelihood, likelihood, shares
+from station.fit.pair_likelihood import Likelihood, likelihood, log_open, shares
 from station.fit.pair_model import JointFit, Model, stepped_frames
 from station.fit.pair_residuals import Linear, errors, linearised, residual_of_poses, state_steps
 from station.fit.whitening import Projected, Whitening
@@ -38,29 +38,35 @@ class Progress:
         damping: (P,) of the next step.
         cost: (P,) -2 log likelihood.
         promise: (P,) by how much the last step promised to lower it.
+        log_open: (P,) logarithm of the share of the states' range that a frame leaves open.
     """
 
     model: Model
     damping: FloatArray
     cost: FloatArray
     promise: FloatArray
+    log_open: FloatArray
 
     def take(self, rows: IntArray) -> Progress:
         """Some of the pairs."""
-        return Progress(self.model.take(rows), self.damping[rows], self.cost[rows], self.promise[rows])
+        return Progress(self.model.take(rows), *(array[rows] for array in self._arrays))
 
     def with_rows(self, rows: IntArray, some: Progress) -> Progress:
         """With others for some of the pairs."""
-        arrays = [self.damping.copy(), self.cost.copy(), self.promise.copy()]
-        for array, changed in zip(arrays, (some.damping, some.cost, some.promise), strict=True):
+        arrays = [array.copy() for array in self._arrays]
+        for array, changed in zip(arrays, some._arrays, strict=True):
             array[rows] = changed
         return Progress(self.model.with_rows(rows, some.model), *arrays)
+
+    @property
+    def _arrays(self) -> tuple[FloatArray, ...]:
+        return self.damping, self.cost, self.promise, self.log_open
 
 
 def begin(model: Model) -> Progress:
     """Before the first step."""
     P = len(model.q)
-    return Progress(model, np.full(P, DAMPING_START), np.full(P, np.inf), np.full(P, np.inf))
+    return Progress(model, np.full(P, DAMPING_START), np.full(P, np.inf), np.full(P, np.inf), np.zeros(P))
 
 
 def improve(
@@ -90,9 +96,9 @@ def _improved(joint: JointType, data: PairData, progress: Progress) -> Progress:
     """One damped Gauss-Newton step, where it is better, and new noise scales and shares."""
     model = progress.model
     whitening = data.noise.whitening(model.scales)
-    at = errors(joint, model.frames, model.q, data)
+    at = errors(joint, model.frames, model.q, data.R, data.t)
     residual = whitening(at.d, at.e)
-    now = likelihood(data, model, whitening, residual)
+    now = likelihood(data, model, whitening, residual, progress.log_open)
     trusted = whitening.trusting(now.oriented)
     residual[3:] *= np.sqrt(now.oriented)
     linear = linearised(joint, model, at, trusted, residual)
@@ -100,12 +106,13 @@ def _improved(joint: JointType, data: PairData, progress: Progress) -> Progress:
     moved = replace(
         model, frames=stepped_frames(joint, model.frames, step), q=joint.moved(model.q, linear.state_step(step))
     )
-    moved, cost = _judged(joint, data, moved, whitening, trusted, now.cost)
+    moved, cost = _judged(joint, data, moved, whitening, trusted, now.cost, progress.log_open)
     better = cost <= now.cost
     fitted, change = _with_noise(data, moved.where(better, model), now, linear, residual, trusted)
     factor = np.where(better, DAMPING_FALL, DAMPING_RISE)
     damping = np.clip(progress.damping * factor, DAMPING_MIN, DAMPING_MAX)
-    return Progress(fitted, damping, np.fmin(now.cost, cost), gain + change)
+    room = log_open(joint, data, linear.state_scale, now.inlier)
+    return Progress(fitted, damping, np.fmin(now.cost, cost), gain + change, room)
 
 
 def _damped_step(
@@ -125,21 +132,27 @@ def _damped_step(
 
 
 def _judged(
-    joint: JointType, data: PairData, model: Model, whitening: Whitening, trusted: Whitening, before: FloatArray
+    joint: JointType,
+    data: PairData,
+    model: Model,
+    whitening: Whitening,
+    trusted: Whitening,
+    before: FloatArray,
+    room: FloatArray,
 ) -> tuple[Model, FloatArray]:
     """The model and its cost (P,); where that is more than before, with the states that follow its parameters.
 
     A long step in a curved valley is a good one once they do.
     """
-    at = errors(joint, model.frames, model.q, data)
+    at = errors(joint, model.frames, model.q, data.R, data.t)
     residual = whitening(at.d, at.e)
-    cost = likelihood(data, model, whitening, residual).cost
+    cost = likelihood(data, model, whitening, residual, room).cost
     worse = np.flatnonzero(cost > before)
     if not worse.size or not joint.states:
         return model, cost
     followed = replace(model, q=joint.moved(model.q, state_steps(joint, model.frames, at, trusted, residual)))
-    at = errors(joint, followed.frames, followed.q, data)
-    its_cost = likelihood(data, followed, whitening, whitening(at.d, at.e)).cost
+    at = errors(joint, followed.frames, followed.q, data.R, data.t)
+    its_cost = likelihood(data, followed, whitening, whitening(at.d, at.e), room).cost
     better = (cost > before) & (its_cost < cost)
     return followed.where(better, model), np.where(better, its_cost, cost)
 
@@ -159,12 +172,20 @@ def _with_noise(
     return replace(model, scales=scales, outlier_share=outliers, flip_share=flips), change
 
 
-def finished(joint: JointType, data: PairData, model: Model) -> JointFit:
-    """All that is known of the fit at a model."""
+def inliers(joint: JointType, data: PairData, progress: Progress) -> FloatArray:
+    """(P, T) probability that frames are inliers."""
+    model, whitening = progress.model, data.noise.whitening(progress.model.scales)
+    at = errors(joint, model.frames, model.q, data.R, data.t)
+    return likelihood(data, model, whitening, whitening(at.d, at.e), progress.log_open).inlier
+
+
+def finished(joint: JointType, data: PairData, progress: Progress) -> JointFit:
+    """All that is known of the fit where it has come to."""
+    model = progress.model
     whitening = data.noise.whitening(model.scales)
-    at = errors(joint, model.frames, model.q, data)
+    at = errors(joint, model.frames, model.q, data.R, data.t)
     residual = whitening(at.d, at.e)
-    now = likelihood(data, model, whitening, residual)
+    now = likelihood(data, model, whitening, residual, progress.log_open)
     residual[3:] *= np.sqrt(now.oriented)
     linear = linearised(joint, model, at, whitening.trusting(now.oriented), residual)
     information, _ = linear.normal_equations(residual, now.inlier)

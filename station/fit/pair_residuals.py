@@ -22,7 +22,7 @@ from station.fit.whitening import Whitening
 from station.kinematics.joints import JointFrames, JointType
 from station.logs import FloatArray
 
-# Share of its length that a state's direction has beyond the others' below which it tells nothing of its own.
+# Length of a state's direction beyond the others', as a share of the longest, below which it tells nothing of its own.
 APART_ABOVE = 1e-6
 # Information about a parameter, as a share of the most about any of the joint's, that is no more than rounding.
 TOLD_ABOVE = 1e-14
@@ -49,17 +49,17 @@ class Errors:
     e: FloatArray
 
 
-def errors(joint: JointType, frames: JointFrames, q: FloatArray, data: PairData) -> Errors:
-    """Of joints (P, ...) in states (P, T, s)."""
+def errors(joint: JointType, frames: JointFrames, q: FloatArray, R: FloatArray, t: FloatArray) -> Errors:
+    """Of joints (P, ...) in states (P, T, s) against poses R (3, 3, P, T) and t (3, P, T)."""
     R_axis, t_axis = entries_first(frames.T_parent_axis)
     R_child, t_child = entries_first(frames.T_axis_child)
     R_motion, t_motion = entries_first(joint.axis_motion(q, frames.form[:, None]))
     R_moved = np.einsum("ijp,jkpt->ikpt", R_axis, R_motion)
     arm = np.einsum("ijpt,jp->ipt", R_moved, t_child)
     lever = arm + np.einsum("ijp,jpt->ipt", R_axis, t_motion)
-    R = np.einsum("ijpt,jkp->ikpt", R_moved, R_child)
-    d = data.t - lever - t_axis[..., None]
-    return Errors(R_axis, R_moved, lever, arm, d, log(np.einsum("ijpt,kjpt->ikpt", data.R, R)))
+    R_model = np.einsum("ijpt,jkp->ikpt", R_moved, R_child)
+    d = t - lever - t_axis[..., None]
+    return Errors(R_axis, R_moved, lever, arm, d, log(np.einsum("ijpt,kjpt->ikpt", R, R_model)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,6 +73,8 @@ class Linear:
         coupling: (s, n, P, T) change of a frame's best states with the parameters.
         own: (P, T, s) best change of the states at these parameters.
         state_information: (P, T, s, s).
+        state_scale: (s, P, T) deviations of the states, each given some of the others, so that their product is that of
+            all; 0 where one is not told.
     """
 
     by_parameters: FloatArray
@@ -81,6 +83,7 @@ class Linear:
     coupling: FloatArray
     own: FloatArray
     state_information: FloatArray
+    state_scale: FloatArray
 
     def normal_equations(self, residual: FloatArray, weights: FloatArray) -> tuple[FloatArray, FloatArray]:
         """H (P, n, n) and g (P, n) with frames weighted (P, T); zero for parameters that nothing tells."""
@@ -107,12 +110,13 @@ def linearised(joint: JointType, model: Model, at: Errors, whitening: Whitening,
     u, w = _motions(joint, model, at)
     whitened = whitening.by_motion(u, w, inverse_right_jacobian(at.e))
     A, B = whitened[:, :n], whitened[:, n:]
-    states, inverse = orthonormal(B)
+    states, inverse, scale = orthonormal(B)
     along = np.einsum("rspt,rnpt->snpt", states, A)
     own = -np.einsum("uspt,spt->ptu", inverse, np.einsum("rspt,rpt->spt", states, residual))
     coupling = -np.einsum("uspt,snpt->unpt", inverse, along)
     across = A - np.einsum("rspt,snpt->rnpt", states, along) if joint.states else A
-    return Linear(across, states, along, coupling, own, np.einsum("rspt,rupt->ptsu", B, B))
+    information = np.einsum("rspt,rupt->ptsu", B, B)
+    return Linear(across, states, along, coupling, own, information, scale)
 
 
 def state_steps(
@@ -122,7 +126,7 @@ def state_steps(
     P, T = at.d.shape[1:]
     twists = np.broadcast_to(joint.state_twists(frames.form)[:, None], (P, T, 6, joint.states))
     B = whitening.by_motion(*_of_twists(twists, at), inverse_right_jacobian(at.e))
-    states, inverse = orthonormal(B)
+    states, inverse, _ = orthonormal(B)
     return -np.einsum("uspt,spt->ptu", inverse, np.einsum("rspt,rpt->spt", states, residual))
 
 
@@ -161,13 +165,24 @@ def _motions(joint: JointType, model: Model, at: Errors) -> tuple[FloatArray, Fl
     return u, w
 
 
-def orthonormal(B: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Q (r, s, ...) orthonormal and U (s, s, ...) upper triangular with Q = B U, by Gram and Schmidt.
+def orthonormal(B: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Q (r, s, P, T) orthonormal and U (s, s, P, T) with Q = B U, by Gram and Schmidt, the longest column of B first.
 
-    Zero columns where one of B tells nothing beyond those before it.
+    Where a column of B tells nothing beyond those before it there is a zero one. Last come the inverse lengths
+    (s, P, T) of what columns had left when it was their turn, with the product |B^T B|^-1/2; 0 where nothing was.
     """
+    if B.shape[1] < 2:
+        return _orthonormal(B)
+    order = np.argsort(-np.einsum("rspt,rspt->spt", B, B), axis=0)
+    Q, U, scale = _orthonormal(np.take_along_axis(B, order[None], axis=1))
+    back = np.argsort(order, axis=0)
+    return Q, np.take_along_axis(U, back[:, None], axis=0), scale
+
+
+def _orthonormal(B: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     s = B.shape[1]
-    Q, U = np.zeros_like(B), np.zeros((s, s, *B.shape[2:]))
+    Q, U, scales = np.zeros_like(B), np.zeros((s, s, *B.shape[2:])), np.zeros(B.shape[1:])
+    longest = np.zeros(B.shape[2:])
     for j in range(s):
         v = B[:, j].copy()
         U[j, j] = 1.0
@@ -175,11 +190,12 @@ def orthonormal(B: FloatArray) -> tuple[FloatArray, FloatArray]:
             along = np.einsum("r...,r...->...", Q[:, k], v)
             v -= along * Q[:, k]
             U[: j + 1, j] -= along * U[: j + 1, k]
-        square, whole = np.einsum("r...,r...->...", v, v), np.einsum("r...,r...->...", B[:, j], B[:, j])
-        told = square > APART_ABOVE**2 * whole
+        square = np.einsum("r...,r...->...", v, v)
+        longest = square if j == 0 else longest
+        told = square > APART_ABOVE**2 * longest
         scale = np.where(told, 1 / np.sqrt(np.where(told, square, 1.0)), 0.0)
-        Q[:, j], U[: j + 1, j] = v * scale, U[: j + 1, j] * scale
-    return Q, U
+        Q[:, j], U[: j + 1, j], scales[j] = v * scale, U[: j + 1, j] * scale, scale
+    return Q, U, scales
 
 
 def residual_of_poses(at: Errors, data: PairData) -> FloatArray:

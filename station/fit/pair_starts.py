@@ -21,7 +21,7 @@ BoolArray = NDArray[np.bool_]
 # Degrees of freedom of the Student weights that protect the closed-form start: heavy tails, yet settled in a few
 # rounds.
 STUDENT_FREEDOMS = 3.0
-START_ROUNDS = 2
+START_ROUNDS = 1
 # Share of the inliers with a wrong orientation: where it starts.
 FLIP_SHARE_START = 0.01
 
@@ -36,12 +36,11 @@ class Start:
 
 
 def best_states(
-    joint: JointType, frames: JointFrames, tracks: PairTracks, weights: FloatArray, *, by_pose: bool
+    joint: JointType, frames: JointFrames, T_a_b: FloatArray, oriented: BoolArray, weights: FloatArray
 ) -> FloatArray:
-    """(P, T, s) closed-form states of poses, where orientations were measured, or of positions; weights (P, T)."""
-    M = se3.inverse(frames.T_parent_axis)[:, None] @ tracks.T_a_b
+    """(P, T, s) closed-form states of poses, where these are oriented (P, T), else of positions; weights (P, T)."""
+    M = se3.inverse(frames.T_parent_axis)[:, None] @ T_a_b
     zero, form = frames.T_axis_child[:, None], frames.form[:, None]
-    oriented = tracks.oriented & by_pose
     q = joint.axis_state(M, zero, form) if oriented.any() else np.zeros((*M.shape[:2], joint.states))
     if not oriented.all():
         by_position = joint.axis_state_of_position(M[..., :3, 3], zero[..., :3, 3], form)
@@ -49,9 +48,12 @@ def best_states(
     return joint.over_time(q, M[..., :3, 3], frames.T_axis_child[..., :3, 3], frames.form, weights)
 
 
-def start_models(joint: JointType, tracks: PairTracks, *, by_pose: bool) -> Model:
-    """Closed-form start, reweighted a few rounds against outliers; each pair's likeliest of the type's readings."""
-    weights = tracks.seen.astype(np.float64)
+def start_models(joint: JointType, tracks: PairTracks, *, by_pose: bool, weights: FloatArray | None = None) -> Model:
+    """Closed-form start, reweighted a few rounds against outliers; each pair's likeliest of the type's readings.
+
+    The weights (P, T) to begin with are those of the frames seen unless they are given.
+    """
+    weights = tracks.seen.astype(np.float64) if weights is None else weights
     best = _start(joint, tracks, weights, by_pose=by_pose)
     for _ in range(START_ROUNDS):  # each round's weights come from the last
         best = likelier(_start(joint, tracks, best.weights, by_pose=by_pose), best)
@@ -60,25 +62,28 @@ def start_models(joint: JointType, tracks: PairTracks, *, by_pose: bool) -> Mode
 
 def _start(joint: JointType, tracks: PairTracks, weights: FloatArray, *, by_pose: bool) -> Start:
     """The likeliest reading of weighted frames (P, T)."""
-    readings = _closed_form(joint, tracks, weights, by_pose=by_pose)
-    if not readings:
-        raise InvalidData(f"joint type {joint.name} offers no start for a fit")
+    weights = weights * tracks.oriented if by_pose else weights
+    readings = closed_form(joint, tracks.T_a_b, weights, by_pose=by_pose)
     return reduce(likelier, (judged(joint, tracks, frames, weights, by_pose=by_pose) for frames in readings))
 
 
-def _closed_form(
-    joint: JointType, tracks: PairTracks, weights: FloatArray, *, by_pose: bool
-) -> tuple[JointFrames, ...]:
-    if by_pose:
-        return joint.starts(tracks.T_a_b, weights * tracks.oriented)
-    return joint.position_starts(tracks.T_a_b[..., :3, 3], weights)
+def closed_form(joint: JointType, T_a_b: FloatArray, weights: FloatArray, *, by_pose: bool) -> tuple[JointFrames, ...]:
+    """The type's readings of poses (..., T, 4, 4) with weights (..., T), or of positions alone.
+
+    Raises:
+        InvalidData: for a type that offers none.
+    """
+    found = joint.starts(T_a_b, weights) if by_pose else joint.position_starts(T_a_b[..., :3, 3], weights)
+    if not found:
+        raise InvalidData(f"joint type {joint.name} offers no start for a fit")
+    return found
 
 
 def judged(joint: JointType, tracks: PairTracks, frames: JointFrames, weights: FloatArray, *, by_pose: bool) -> Start:
     """Joints (P, ...) with their best states, noise by its median, and how they explain the frames."""
     data = tracks.data
-    q = best_states(joint, frames, tracks, weights, by_pose=by_pose)
-    at = errors(joint, frames, q, data)
+    q = best_states(joint, frames, tracks.T_a_b, tracks.oriented & by_pose, weights)
+    at = errors(joint, frames, q, data.R, data.t)
     scales = data.noise.robust_scales(at.d, at.e, data.seen, data.oriented)
     share = np.full(len(q), OUTLIER_SHARE_START)
     model = Model(frames, q, scales, share, np.full(len(q), FLIP_SHARE_START))
@@ -86,7 +91,7 @@ def judged(joint: JointType, tracks: PairTracks, frames: JointFrames, weights: F
     residual = whitening(at.d, at.e)
     chi2 = np.sum(residual**2, axis=0)
     student = (STUDENT_FREEDOMS + tracks.dimensions) / (STUDENT_FREEDOMS + chi2)
-    return Start(model, likelihood(data, model, whitening, residual), student * tracks.seen)
+    return Start(model, likelihood(data, model, whitening, residual, np.zeros(len(q))), student * tracks.seen)
 
 
 def likelier(one: Start, other: Start) -> Start:

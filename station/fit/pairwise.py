@@ -1,16 +1,21 @@
 """Fit joint types to the relative poses of many pairs of parts at once, with the states eliminated and outliers told
 apart.
 
-A closed-form start (`pair_starts`), then least squares (`pair_refinement`) of the likelihood of inliers and outliers
-(`pair_likelihood`). Everything is batched over pairs and frames.
+A closed-form start (`pair_starts`), or one by sample consensus (`consensus`) where outliers are many; then least
+squares (`pair_refinement`) of the likelihood of inliers and outliers (`pair_likelihood`). All of it is batched over
+pairs and frames.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
+from station.fit.consensus import consensus_models
+from station.fit.noise import INLIER_ABOVE
 from station.fit.pair_model import (
     OUTLIER_SHARE_START,
     ROTATION_VOLUME,
@@ -23,9 +28,12 @@ from station.fit.pair_model import (
     small_inverse,
     stepped_frames,
 )
-from station.fit.pair_refinement import COST_TOLERANCE, LM_ITERATIONS, Progress, begin, finished, improve
+from station.fit.pair_refinement import COST_TOLERANCE, LM_ITERATIONS, Progress, begin, finished, improve, inliers
 from station.fit.pair_starts import start_models
 from station.kinematics.joints import JOINT_TYPES, JointType
+from station.logs import FloatArray
+
+IntArray = NDArray[np.intp]
 
 __all__ = [
     "COST_TOLERANCE",
@@ -50,6 +58,11 @@ LEAST_ORIENTED = 10
 FIRST_ITERATIONS = 2
 # Tolerance as a share of how far a type is behind: it won't catch up by a thousandth of that.
 BEHIND_TOLERANCE = 1e-3
+# Share of outliers among poses, and among positions, from which on starts are sought by sample consensus as well:
+# rotations tell axes even with 40 %. A few frames are no share.
+MANY_POSES, MANY_POSITIONS, MANY_FRAMES = 0.15, 0.03, 4.0
+# So are they where frames are hardly likelier than outliers: -2 log likelihood below theirs, for each number measured.
+LEAST_SHARPNESS = 1.0
 
 
 def fit_joint(
@@ -60,11 +73,8 @@ def fit_joint(
     iterations: int = LM_ITERATIONS,
     tolerance: float = COST_TOLERANCE,
 ) -> JointFit:
-    """Fit one joint type to all pairs, closed form then least squares; `by_pose` if orientations were measured."""
-    start = begin(start_models(joint, tracks, by_pose=by_pose))
-    enough = np.full(len(tracks.seen), tolerance)
-    progress = improve(joint, tracks.data, start, iterations=iterations, tolerance=enough)
-    return finished(joint, tracks.data, progress.model)
+    """Fit one joint type to all pairs; `by_pose` if orientations were measured."""
+    return _Work(tracks, by_pose, iterations, tolerance).fits({joint.name: joint})[joint.name]
 
 
 def fit_types(
@@ -77,29 +87,85 @@ def fit_types(
     """Every type fitted to all pairs; pairs without orientations by their positions."""
     by_pose = tracks.oriented.sum(axis=-1) >= LEAST_ORIENTED
     rows = [np.flatnonzero(by_pose == kind) for kind in (True, False)]
-    fits = [
-        _fit_alike(tracks.take(some), joint_types, iterations, tolerance, by_pose=kind)
-        for kind, some in zip((True, False), rows, strict=True)
-        if some.size
-    ]
+    joints = {name: JOINT_TYPES[name] for name in joint_types}
+    fits: list[dict[str, JointFit]] = []
+    for kind, some in zip((True, False), rows, strict=True):
+        if some.size:
+            work = _Work(tracks if some.size == len(by_pose) else tracks.take(some), kind, iterations, tolerance)
+            fits.append(work.fits(joints))
     order = np.argsort(np.concatenate(rows))
     return {name: JointFit.all_of([fit[name] for fit in fits]).take(order) for name in joint_types}
 
 
-def _fit_alike(
-    tracks: PairTracks, joint_types: Sequence[str], iterations: int, tolerance: float, *, by_pose: bool
-) -> dict[str, JointFit]:
-    """Fits of pairs that all have orientations, or none."""
-    first = min(FIRST_ITERATIONS, iterations)
-    enough = np.full(len(tracks.seen), tolerance)
-    begun: dict[str, Progress] = {}
-    for name in joint_types:
-        start = begin(start_models(JOINT_TYPES[name], tracks, by_pose=by_pose))
-        begun[name] = improve(JOINT_TYPES[name], tracks.data, start, iterations=first, tolerance=enough)
-    best = np.min(np.stack([progress.cost for progress in begun.values()]), axis=0)
-    fits: dict[str, JointFit] = {}
-    for name, progress in begun.items():
-        joint, limit = JOINT_TYPES[name], np.maximum(tolerance, BEHIND_TOLERANCE * (progress.cost - best))
-        progress = improve(joint, tracks.data, progress, iterations=iterations - first, tolerance=limit)
-        fits[name] = finished(joint, tracks.data, progress.model)
-    return fits
+@dataclass(frozen=True, eq=False)
+class _Work:
+    """Pairs that all have orientations, or none, and how well they are to be fitted."""
+
+    tracks: PairTracks
+    by_pose: bool
+    iterations: int
+    tolerance: float
+
+    def fits(self, joints: Mapping[str, JointType]) -> dict[str, JointFit]:
+        """Fits of several types."""
+        begun = {name: self._improved(joint, self.tracks, self._start(joint)) for name, joint in joints.items()}
+        many, some = self._with_outliers(begun)
+        for name, joint in joints.items():
+            begun[name] = self._retried(joint, begun[name], many, self._from_samples)
+            if joint.states:
+                begun[name] = self._retried(joint, begun[name], some, self._from_the_rest)
+        best = np.min(np.stack([progress.cost for progress in begun.values()]), axis=0)
+        return {name: self._finished(joints[name], progress, best) for name, progress in begun.items()}
+
+    def _start(self, joint: JointType) -> Model:
+        return start_models(joint, self.tracks, by_pose=self.by_pose)
+
+    def _improved(self, joint: JointType, tracks: PairTracks, model: Model) -> Progress:
+        enough = np.full(len(model.q), self.tolerance)
+        first = min(FIRST_ITERATIONS, self.iterations)
+        return improve(joint, tracks.data, begin(model), iterations=first, tolerance=enough)
+
+    def _with_outliers(self, begun: Mapping[str, Progress]) -> tuple[IntArray, IntArray]:
+        """Pairs of which even the likeliest type leaves many outliers or explains little, and others with some."""
+        cost = np.stack([progress.cost for progress in begun.values()])
+        share = np.stack([progress.model.outlier_share for progress in begun.values()])
+        least = np.min(cost, axis=0)
+        share = np.min(np.where(cost == least, share, 1.0), axis=0)
+        some = share * self.tracks.seen.sum(axis=-1) > MANY_FRAMES
+        many = some & (share > (MANY_POSES if self.by_pose else MANY_POSITIONS))
+        nothing = -2 * self.tracks.log_outlier_density.sum(axis=-1)
+        many |= nothing - least < LEAST_SHARPNESS * self.tracks.dimensions.sum(axis=-1)
+        return np.flatnonzero(many), np.flatnonzero(some & ~many)
+
+    def _retried(
+        self,
+        joint: JointType,
+        begun: Progress,
+        rows: IntArray,
+        start: Callable[[JointType, PairTracks, Progress], Model],
+    ) -> Progress:
+        """With what some pairs come to from another start, where that is better."""
+        if not rows.size:
+            return begun
+        tracks = self.tracks.take(rows)
+        found = self._improved(joint, tracks, start(joint, tracks, begun.take(rows)))
+        better = np.flatnonzero(found.cost < begun.cost[rows])
+        return begun.with_rows(rows[better], found.take(better))
+
+    def _from_samples(self, joint: JointType, tracks: PairTracks, begun: Progress) -> Model:
+        explained = inliers(joint, tracks.data, begun) > INLIER_ABOVE
+        return consensus_models(joint, tracks, explained, by_pose=self.by_pose)
+
+    def _from_the_rest(self, joint: JointType, tracks: PairTracks, begun: Progress) -> Model:
+        """From frames that are outliers so far, with as much weight as all others: few may have moved of many."""
+        inlier = inliers(joint, tracks.data, begun)
+        outlier = tracks.seen - inlier
+        ratio = inlier.sum(axis=-1) / np.maximum(outlier.sum(axis=-1), 1.0)
+        return start_models(joint, tracks, by_pose=self.by_pose, weights=inlier + outlier * ratio[:, None])
+
+    def _finished(self, joint: JointType, progress: Progress, best: FloatArray) -> JointFit:
+        limit = np.maximum(self.tolerance, BEHIND_TOLERANCE * (progress.cost - best))
+        rest = max(self.iterations - FIRST_ITERATIONS, 0)
+        return finished(
+            joint, self.tracks.data, improve(joint, self.tracks.data, progress, iterations=rest, tolerance=limit)
+        )

@@ -105,6 +105,7 @@ class JointReading:
             outliers=int((self.seen & ~self.good).sum()),
             axis_std_rad=None if geometry.axis_parent is None else float(np.sqrt(variance[3] + variance[4])),
             point_std_m=None if geometry.point_parent_m is None else float(np.sqrt(point_variance)),
+            pitch_std_m_per_rad=self.pitch_std_m_per_rad,
         )
 
     @property

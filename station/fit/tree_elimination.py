@@ -27,23 +27,18 @@ IntArray = NDArray[np.intp]
 UNOBSERVED = 1e-11
 # A state that keeps less than this share of its information when those farther out are eliminated is not observed; nor
 # is one that has more than the other share in such a direction.
-WEAK_PIVOT, WEAK_SHARE = 1e-9, 1e-3
+WEAK_PIVOT, WEAK_SHARE = 1e-7, 1e-3
 
 
 @dataclass(frozen=True, eq=False)
-class Eliminated:
-    """Equations of the parameters, and what the states of T frames are then.
+class Reduced:
+    """Equations of the parameters alone.
 
     Attributes:
-        H: (n, n) of the parameters.
+        H: (n, n).
         g: (n,).
-        unreduced: (n,) diagonal of H before.
+        unreduced: (n,) diagonal of H before the states were eliminated.
         promise: half of what the states alone promise to take off the weighted squared residuals.
-        root: (T, s, s) R with R^T R = H_ss^-1, rows in the order of the states.
-        rows: states of each block of rows: a joint's, the root's.
-        columns: parameters that these are coupled to.
-        Z: (T, rows, columns + 1) of each block, R H_sp and, last, R g_s; none where there was no room to keep them.
-        told: (T, s) whether a state was observed.
         observed: numbers of states that were observed, over all frames.
     """
 
@@ -51,12 +46,38 @@ class Eliminated:
     g: FloatArray
     unreduced: FloatArray
     promise: float
+    observed: float
+
+    def plus(self, other: Reduced) -> Reduced:
+        """Those of both's frames."""
+        return Reduced(
+            self.H + other.H,
+            self.g + other.g,
+            self.unreduced + other.unreduced,
+            self.promise + other.promise,
+            self.observed + other.observed,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class FrameStates:
+    """What the best states of T frames are for given parameters.
+
+    Attributes:
+        root: (T, s, s) R with R^T R = H_ss^-1, rows in the order of the states.
+        told: (T, s) whether a state was observed.
+        rows: states of each block of rows: a joint's, the root's.
+        columns: the n parameters that these are coupled to.
+        Z: (T, rows, columns + 1) of each block, R H_sp and, last, R g_s; none where there was no room to keep them.
+        parameters: n.
+    """
+
     root: FloatArray
+    told: BoolArray
     rows: tuple[slice, ...]
     columns: tuple[IntArray, ...]
     Z: tuple[FloatArray, ...]
-    told: BoolArray
-    observed: float
+    parameters: int
 
     def states_step(self, step: FloatArray) -> FloatArray:
         """(T, s) best change of the states for a change (n,) of the parameters."""
@@ -67,7 +88,7 @@ class Eliminated:
 
     def coupling(self) -> FloatArray:
         """(T, s, n) how the best states change with the parameters, but for the sign."""
-        found = np.zeros((*self.told.shape, len(self.g)))
+        found = np.zeros((*self.told.shape, self.parameters))
         for rows, columns, Z in zip(self.rows, self.columns, self.Z, strict=True):
             found[:, rows, columns] = Z[..., :-1]
         return np.swapaxes(self.root, -1, -2) @ found
@@ -81,7 +102,7 @@ class Eliminated:
         return np.swapaxes(self.root, -1, -2) @ found
 
 
-def eliminated(skeleton: Skeleton, found: Equations, damping: float) -> Eliminated:
+def eliminated(skeleton: Skeleton, found: Equations, damping: float) -> tuple[Reduced, FrameStates]:
     """Equations of the parameters alone; `damping` is relative to each state's own information.
 
     Directions of states that nothing observes, such as those between a body that was not seen and a root that moves,
@@ -102,18 +123,9 @@ def eliminated(skeleton: Skeleton, found: Equations, damping: float) -> Eliminat
         g[at] -= taken[:-1, -1]
         promise += 0.5 * float(taken[-1, -1])
         blocks.append(block)
-    return Eliminated(
-        H=0.5 * (H + H.T),
-        g=g,
-        unreduced=np.diagonal(found.H_pp).copy(),
-        promise=promise,
-        root=root,
-        rows=rows,
-        columns=columns,
-        Z=tuple(blocks),
-        told=told,
-        observed=float(np.sum((unit_root @ scaled) * unit_root)),
-    )
+    observed = float(np.sum((unit_root @ scaled) * unit_root))
+    reduced = Reduced(0.5 * (H + H.T), g, np.diagonal(found.H_pp).copy(), promise, observed)
+    return reduced, FrameStates(root, told, rows, columns, tuple(blocks), n)
 
 
 def _roots(

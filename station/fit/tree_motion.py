@@ -84,7 +84,7 @@ class Twists:
 
 def root_twists(skeleton: Skeleton, poses: TreePoses, centre: FloatArray) -> Twists:
     """By the root's pose, if it moves, about `centre` (T, 3)."""
-    states = np.arange(skeleton.joint_states, skeleton.states)
+    states = np.arange(skeleton.joint_states, skeleton.states, dtype=np.intp)
     twists = _adjoint(poses.bodies[0], centre)[..., : len(states)]
     return Twists(twists[..., :0], twists, np.zeros(0, dtype=np.intp), states)
 
@@ -118,7 +118,7 @@ def mount_twists(skeleton: Skeleton, poses: TreePoses, part: int, centre: FloatA
 
 
 def _listed(columns: slice) -> IntArray:
-    return np.arange(columns.start, columns.stop)
+    return np.arange(columns.start, columns.stop, dtype=np.intp)
 
 
 def _adjoint(T_ref_x: FloatArray, centre: FloatArray) -> FloatArray:

@@ -64,13 +64,13 @@ class _Refined:
         if REFERENCE in self.group(body).members:
             return np.ones(len(self.fit.inlier), dtype=bool)
         parts = [self.start.parts[k] for k in self.members(body)]
-        return self.structure.parts.seen[:, parts].any(axis=1)
+        return np.any(self.structure.parts.seen[:, parts], axis=1)
 
     def told(self, body: int) -> BoolArray:
         """(T,) some part of a body was seen and is no outlier; always for what stands still."""
         if REFERENCE in self.group(body).members:
             return np.ones(len(self.fit.inlier), dtype=bool)
-        return self.fit.inlier[:, self.members(body)].max(axis=1) > INLIER_ABOVE
+        return np.any(self.fit.inlier[:, self.members(body)] > INLIER_ABOVE, axis=1)
 
 
 def read_tree(
@@ -81,7 +81,11 @@ def read_tree(
     if not order:
         return []
     start = tree_start(structure, root, options)
-    fit = refine_tree(start.skeleton, start.model, measured_parts(structure.parts, start.parts))
+    fit = refine_tree(
+        start.skeleton,
+        start.model,
+        lambda parts: measured_parts(structure.parts, [start.parts[k] for k in parts]),
+    )
     refined = _Refined(structure, start, fit, include)
     names = [(start.bodies[joint.parent], start.bodies[joint.child]) for joint in start.skeleton.joints]
     rows = [names.index(pair) for pair in order]

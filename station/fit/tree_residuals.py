@@ -50,14 +50,16 @@ class Measured:
 
     def take(self, rows: slice | IntArray) -> Measured:
         """Some of the frames."""
-        arrays = (self.T_ref_part, self.whitener, self.log_odds, self.dimensions)
-        return Measured(*(array[rows] for array in arrays), self.spread)
+        return Measured(
+            self.T_ref_part[rows], self.whitener[rows], self.log_odds[rows], self.dimensions[rows], self.spread
+        )
 
     def of_parts(self, parts: Sequence[int]) -> Measured:
         """Some of the parts."""
         k = list(parts)
-        arrays = (self.T_ref_part, self.whitener, self.log_odds, self.dimensions)
-        return Measured(*(array[:, k] for array in arrays), self.spread[k])
+        return Measured(
+            self.T_ref_part[:, k], self.whitener[:, k], self.log_odds[:, k], self.dimensions[:, k], self.spread[k]
+        )
 
     def hotter(self, heat: FloatArray) -> Measured:
         """With variances so many times as large (K,)."""

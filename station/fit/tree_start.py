@@ -113,8 +113,10 @@ def _filled(q: FloatArray, good: BoolArray) -> FloatArray:
     rows = np.flatnonzero(good)
     if not rows.size:
         return np.zeros_like(q)
-    at = np.arange(len(q))
-    return np.stack([np.interp(at, rows, column[rows]) for column in q.T], axis=-1).reshape(q.shape)
+    at, found = np.arange(len(q)), np.empty_like(q)
+    for i in range(q.shape[-1]):  # states of a joint are few
+        found[:, i] = np.interp(at, rows, q[rows, i])
+    return found
 
 
 def _skeleton(

@@ -139,6 +139,12 @@ class GivenNoise:
         chi2 = np.sum(self.unit(d, e) ** 2, axis=0) / chi2_median(3.0 * seen + 3.0 * oriented)
         return np.maximum(medians(chi2, seen)[:, None], self.least)
 
+    def mean_scales(self, d: FloatArray, e: FloatArray, weights: FloatArray, oriented: BoolArray) -> FloatArray:
+        """(P, 1) from the mean of squared residuals with weights (P, T)."""
+        measured = np.sum(weights * (3.0 + 3.0 * oriented), axis=-1)
+        square = np.sum(weights * np.sum(self.unit(d, e) ** 2, axis=0), axis=-1)
+        return np.maximum((square / np.maximum(measured, 1.0))[:, None], self.least)
+
     def updated_scales(self, scales: FloatArray, whitening: Whitening, fit: Projected) -> FloatArray:
         """(P, 1) one multiplicative step to the restricted likelihood's maximum."""
         freedoms = fit.freedoms
@@ -205,18 +211,29 @@ class UnknownNoise:
         """(P, 2) from the medians of squared residuals, to start with; orientations that states explain whole tell
         nothing.
         """
-        ours = np.maximum(self.noisy.sum(axis=0), 1.0) * chi2_median(np.array(3.0))
-        position, orientation = medians(np.sum(d**2, axis=0), seen), medians(np.sum(e**2, axis=0), oriented)
-        orientation = np.where(orientation > ours * self.least[1], orientation, position / BALANCE_M**2)
-        return np.maximum(np.stack([position / ours, orientation / ours], axis=-1), self.least)
+        one = chi2_median(np.array(3.0))
+        return self._started(medians(np.sum(d**2, axis=0), seen) / one, medians(np.sum(e**2, axis=0), oriented) / one)
+
+    def mean_scales(self, d: FloatArray, e: FloatArray, weights: FloatArray, oriented: BoolArray) -> FloatArray:
+        """(P, 2) from the means of squared residuals with weights (P, T)."""
+        position = np.sum(weights * np.sum(d**2, axis=0), axis=-1) / np.maximum(3 * weights.sum(axis=-1), 1.0)
+        trusted = weights * oriented
+        orientation = np.sum(trusted * np.sum(e**2, axis=0), axis=-1) / np.maximum(3 * trusted.sum(axis=-1), 1.0)
+        return self._started(position, orientation)
+
+    def _started(self, position: FloatArray, orientation: FloatArray) -> FloatArray:
+        """(P, 2) scales of variances of relative poses (P,)."""
+        parts = np.maximum(self.noisy.sum(axis=0), 1.0)
+        orientation = np.where(orientation > parts * self.least[1], orientation, position / BALANCE_M**2)
+        return np.maximum(np.stack([position / parts, orientation / parts], axis=-1), self.least)
 
     def updated_scales(self, scales: FloatArray, whitening: Whitening, fit: Projected) -> FloatArray:
         """(P, 2) one step of Fisher's scoring to the restricted likelihood's maximum.
 
-        With M_k = W S_k W^T for the part S_k of the covariance of scale s_k, Q the projector that takes the
-        states' directions out, and a_k = s_k Q M_k Q, scale k should have squares r^T a_k r of as much as its freedoms
-        tr a_k; what a relative change of scale l adds to them is tr(a_k a_l). As a_0 + a_1 = Q, the columns of positions
-        alone tell all of them.
+        With M_k = W S_k W^T for the part S_k of the covariance of scale s_k, Q the projector that takes the states'
+        directions out, and a_k = s_k Q M_k Q, scale k should have squares r^T a_k r of as much as its freedoms tr a_k;
+        what a relative change of scale l adds to them is tr(a_k a_l). As a_0 + a_1 = Q, the columns of positions alone
+        tell all of them.
         """
         left, freedoms = fit.left, fit.freedoms
         share = fit.share_left(freedoms)

@@ -8,6 +8,7 @@ stands still shares no number, and is fitted apart.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,10 +17,11 @@ from numpy.typing import NDArray
 from station.fit.noise import INLIER_ABOVE, time_of_correlation
 from station.fit.pairwise import parameter_covariance, small_inverse
 from station.fit.skeleton import Skeleton, TreeModel, branches
-from station.fit.tree_elimination import Eliminated
+from station.fit.tree_elimination import FrameStates
 from station.fit.tree_motion import tree_poses
+from station.fit.tree_problem import Linearised, Problem
 from station.fit.tree_residuals import Measured, tree_residuals
-from station.fit.tree_solver import Linearised, Problem, Solution, solve
+from station.fit.tree_solver import Solution, solve
 from station.logs import FloatArray
 
 BoolArray = NDArray[np.bool_]
@@ -48,14 +50,20 @@ class TreeFit:
     spread: FloatArray
 
 
-def refine_tree(skeleton: Skeleton, model: TreeModel, measured: Measured) -> TreeFit:
-    """Least squares from a start; poses that don't fit are weighted down as outliers of the scene."""
+def refine_tree(skeleton: Skeleton, model: TreeModel, measured_of: Callable[[Sequence[int]], Measured]) -> TreeFit:
+    """Least squares from a start; poses that don't fit are weighted down as outliers of the scene.
+
+    Args:
+        skeleton: joints, bodies and K parts.
+        model: parameters and states to start from.
+        measured_of: what was measured of some of the parts; asked for branch by branch, as it is large.
+    """
     T_ref_root, frames = model.T_ref_root, list(model.frames)
-    q, mounts, inlier = model.q.copy(), model.mounts.copy(), np.zeros(measured.log_odds.shape)
-    covariance, spread = np.zeros((skeleton.parameters, skeleton.parameters)), measured.spread.copy()
+    q, mounts, inlier = model.q.copy(), model.mounts.copy(), np.zeros((len(model.q), len(skeleton.body_of)))
+    covariance, spread = np.zeros((skeleton.parameters, skeleton.parameters)), np.ones((len(skeleton.body_of), 2))
     state_covariance: list[FloatArray] = [np.zeros((len(q), 0, 0))] * len(skeleton.joints)
     for branch in branches(skeleton):
-        fit = _refine_branch(branch.skeleton, branch.model(skeleton, model), measured.of_parts(branch.parts))
+        fit = _refine_branch(branch.skeleton, branch.model(skeleton, model), measured_of(branch.parts))
         columns, parts = branch.columns(skeleton), list(branch.parts)
         T_ref_root, covariance[columns[:, None], columns] = fit.model.T_ref_root, fit.covariance
         q[:, branch.state_columns(skeleton)], mounts[parts] = fit.model.q, fit.model.mounts
@@ -69,7 +77,7 @@ def refine_tree(skeleton: Skeleton, model: TreeModel, measured: Measured) -> Tre
 def _refine_branch(skeleton: Skeleton, model: TreeModel, measured: Measured) -> TreeFit:
     problem, solution = solve(Problem(skeleton, measured), model)
     measured, scale = problem.measured, _scale(problem, solution)
-    covariance = parameter_covariance(solution.last.H, solution.last.unreduced) * scale
+    covariance = parameter_covariance(solution.last.reduced.H, solution.last.reduced.unreduced) * scale
     covariance *= _repeats(skeleton, measured, solution)
     states = _state_covariances(skeleton, solution.last, covariance, scale)
     return TreeFit(solution.model, covariance, states, solution.inlier, np.sqrt(scale) * measured.spread)
@@ -77,7 +85,7 @@ def _refine_branch(skeleton: Skeleton, model: TreeModel, measured: Measured) -> 
 
 def _scale(problem: Problem, solution: Solution) -> float:
     """Variance of whitened residuals, by the numbers measured less those that were fitted."""
-    fitted = problem.skeleton.parameters + solution.last.observed
+    fitted = problem.skeleton.parameters + solution.last.reduced.observed
     freedoms = float(np.sum(solution.inlier * problem.measured.dimensions)) - fitted
     square = float(np.sum(solution.inlier * solution.chi2))
     return square / freedoms if freedoms > 0 else 1.0
@@ -85,11 +93,12 @@ def _scale(problem: Problem, solution: Solution) -> float:
 
 def _repeats(skeleton: Skeleton, measured: Measured, solution: Solution) -> float:
     """Frames in which an error repeats itself: what is shared by all frames is known so much less; at least 1."""
-    residuals = tree_residuals(measured, tree_poses(skeleton, solution.model).parts)
-    good = solution.inlier.T > INLIER_ABOVE
-    frames = good.sum(axis=-1)
-    whitened = np.swapaxes(residuals.whitened, 0, 1)
-    times = time_of_correlation(whitened, good, measured.dimensions.max(axis=0, initial=0.0))
+    whitened = tree_residuals(measured, tree_poses(skeleton, solution.model).parts).whitened
+    good = solution.inlier > INLIER_ABOVE
+    frames, times = good.sum(axis=0), np.ones(len(skeleton.body_of))
+    for k in np.flatnonzero(frames):  # memory asks for this loop
+        dimensions = measured.dimensions[:, k].max(keepdims=True)
+        times[k] = time_of_correlation(whitened[None, :, k], good[None, :, k], dimensions)[0]
     return float(np.sum(frames * times) / max(np.sum(frames), 1))
 
 
@@ -103,16 +112,16 @@ def _state_covariances(
     """
     slices = [skeleton.state_columns(j) for j in range(len(skeleton.joints))]
 
-    def sums(chunk: Eliminated) -> list[tuple[FloatArray, FloatArray]]:
+    def sums(chunk: FrameStates) -> list[tuple[FloatArray, FloatArray]]:
         coupling = chunk.coupling()
         told = [_information(chunk.root[..., c], chunk.told[:, c]) for c in slices]
         return [(W.sum(axis=0), np.einsum("tij,tjn->in", W, coupling[:, c])) for W, c in zip(told, slices, strict=True)]
 
     found = last.each_chunk(sums)
     totals = [[np.sum([chunk[j][i] for chunk in found], axis=0) for i in (0, 1)] for j in range(len(slices))]
-    means = [np.linalg.pinv(W, hermitian=True) @ mean for W, mean in totals]
+    means: list[FloatArray] = [np.linalg.pinv(W, hermitian=True) @ mean for W, mean in totals]
 
-    def of_chunk(chunk: Eliminated) -> list[FloatArray]:
+    def of_chunk(chunk: FrameStates) -> list[FloatArray]:
         coupling, spread = chunk.coupling(), chunk.coupling_times(covariance)
         varying = [coupling[:, c] - mean for c, mean in zip(slices, means, strict=True)]
         spreads = [spread[:, c] - mean @ covariance for c, mean in zip(slices, means, strict=True)]
@@ -128,4 +137,5 @@ def _state_covariances(
 def _information(root: FloatArray, told: BoolArray) -> FloatArray:
     """(T, s, s) information of some states with all others free, from the root's columns (T, S, s); 0 if unobserved."""
     own = np.swapaxes(root, -1, -2) @ root
-    return small_inverse(own) * told.all(axis=-1)[:, None, None]
+    known: BoolArray = np.all(told, axis=-1, keepdims=True)
+    return small_inverse(own) * known[..., None]

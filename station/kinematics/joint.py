@@ -35,6 +35,7 @@ class Joint:
         state_max: largest observed state.
         limits: least and largest state that a tree file allows.
         scores: "criterion" with its name, and each candidate type's score, lower is better; NaN if it has none.
+        criteria: the scores of every criterion, by its name.
         probability: of each candidate, "free" included if it is one.
         rms_rotation_rad: norm of the rotation residuals over inliers.
         rms_translation_m: norm of the translation residuals over inliers.
@@ -61,6 +62,7 @@ class Joint:
     state_max: float | None = None
     limits: tuple[float, float] | None = None
     scores: Mapping[str, float | str] | None = None
+    criteria: Mapping[str, Mapping[str, float]] | None = None
     probability: Mapping[str, float] | None = None
     rms_rotation_rad: float | None = None
     rms_translation_m: float | None = None
@@ -78,6 +80,8 @@ class Joint:
         for name in ("scores", "probability"):
             by_type: Mapping[str, object] | None = getattr(self, name)
             object.__setattr__(self, name, None if by_type is None else dict(by_type))
+        if self.criteria is not None:
+            object.__setattr__(self, "criteria", {name: dict(scores) for name, scores in self.criteria.items()})
         _check_ends(self)
         _check_geometry(self)
         _check_range(self, "state", self.state_min, self.state_max)

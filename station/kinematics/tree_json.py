@@ -66,6 +66,7 @@ class _Joint(_Strict):
     state: _State | None = None
     limits: _Limits | None = None
     scores: dict[str, FiniteFloat | str | None] | None = None
+    criteria: dict[str, dict[str, FiniteFloat | None]] | None = None
     probability: dict[str, FiniteFloat | None] | None = None
     rms: _Rms | None = None
     frames: int | None = None
@@ -143,8 +144,10 @@ def _joint_values(joint: Joint) -> dict[str, object]:
     }
     if joint.limits is not None:
         values["limits"] = {"min": joint.limits[0], "max": joint.limits[1]}
+    values["scores"] = joint.scores
+    if joint.criteria is not None:
+        values["criteria"] = joint.criteria
     return values | {
-        "scores": joint.scores,
         "probability": joint.probability,
         "rms": {"rotation_deg": _degrees(joint.rms_rotation_rad), "translation_mm": _mm(joint.rms_translation_m)},
         "frames": joint.frames,
@@ -173,6 +176,7 @@ def _to_joint(model: _Joint) -> Joint:
         state_max=state.max,
         limits=None if model.limits is None else (model.limits.min, model.limits.max),
         scores=_scores(model),
+        criteria=_criteria(model),
         probability=None if model.probability is None else {k: _number(x) for k, x in model.probability.items()},
         rms_rotation_rad=_radians(rms.rotation_deg),
         rms_translation_m=_metres(rms.translation_mm),
@@ -196,6 +200,12 @@ def _scores(model: _Joint) -> dict[str, float | str] | None:
             want = "a name" if key == "criterion" else "a number or null"
             raise InvalidData(f"joint '{model.name}': scores.{key} is {json.dumps(value)}; want {want}")
     return {key: value if isinstance(value, str) else _number(value) for key, value in model.scores.items()}
+
+
+def _criteria(model: _Joint) -> dict[str, dict[str, float]] | None:
+    if model.criteria is None:
+        return None
+    return {name: {key: _number(value) for key, value in scores.items()} for name, scores in model.criteria.items()}
 
 
 def _to_tree(model: _Tree) -> KinematicTree:

@@ -13,14 +13,17 @@ from pathlib import Path
 
 import numpy as np
 
+from station.errors import InvalidData
 from station.fit.learner import learn
 from station.fit.paper import PaperSteps, Weights, learn_paper, unsmoothed, weighted_cost
 from station.fit.result import Fit
+from station.formats.tracks import parse_track
 from station.kinematics.tree import Joint
 from station.logs import PoseLog
 from tests.benchmarks import paper_corrections as corrections
 from tests.benchmarks.arguments import each, parser, trials_of
 from tests.fit.simulated import Truth, noisy_log, simulated_tree
+from tests.fit.test_real_tracks import FOLDER, TYPES
 
 # Noise per axis of each tracker's pose; 0.5 deg of rotation for each millimetre.
 NOISE_MM = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0)
@@ -228,12 +231,33 @@ def measure_rest(seed: int, trials: int) -> object:
     return None
 
 
-CORRECTIONS: dict[str, Callable[[int, int], object]] = {
+def measure_tracks(seed: int, trials: int) -> object:
+    """Real doors and drawers: joints named right, by the files' folders (of STATION_TRACKS, or beside the project)."""
+    print(
+        f"\nreal tracks: files, named right by the paper, by the station; {FOLDER if FOLDER.is_dir() else 'no folder'}"
+    )
+    for kind, joint_type in TYPES.items():
+        logs = [parse_track(file.read_text("utf-8"), file.name) for file in sorted((FOLDER / kind).glob("*.log"))]
+        right = [sum(names(method, log) == [joint_type] for log in logs) for method in ("paper", "station")]
+        print(f"  {kind:20s} {joint_type:10s} {len(logs):3d} {right[0]:3d} {right[1]:3d}")
+    return None
+
+
+def names(method: str, log: PoseLog) -> list[str]:
+    """Types of the joints that a method finds; none of a log that it refuses."""
+    try:
+        return [joint.type for joint in fit_by(method, log, np.nan).tree.joints]
+    except InvalidData:
+        return []
+
+
+MEASURES: dict[str, Callable[[int, int], object]] = {
     "metric": measure_metric,
     "starts": measure_starts,
     "aic": measure_aic,
     "smoothing": measure_smoothing,
     "rest": measure_rest,
+    "tracks": measure_tracks,
 }
 
 
@@ -241,10 +265,10 @@ def main() -> None:
     """Measure, print, draw."""
     options = parser(__doc__, trials=30, quick=4)
     options.add_argument("--out", type=Path, default=None, help="folder for the figures")
-    options.add_argument("--only", choices=(*CORRECTIONS, *CASES), nargs="*", default=(*CORRECTIONS, *CASES))
+    options.add_argument("--only", choices=(*MEASURES, *CASES), nargs="*", default=(*MEASURES, *CASES))
     chosen = options.parse_args()
     trials = trials_of(chosen)
-    found = {name: measure(chosen.seed, trials) for name, measure in CORRECTIONS.items() if name in chosen.only}
+    found = {name: measure(chosen.seed, trials) for name, measure in MEASURES.items() if name in chosen.only}
     compared = [compare_methods(case, chosen.seed, trials, chosen.workers) for case in CASES if case in chosen.only]
     for comparison in compared:
         print_comparison(comparison)

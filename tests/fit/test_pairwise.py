@@ -78,7 +78,9 @@ def numeric_jacobians(joint: JointType, model: Model, tracks: PairTracks) -> tup
     whitening = tracks.data.noise.whitening(model.scales)
 
     def at(delta: FloatArray, dq: FloatArray) -> FloatArray:
-        moved = errors(joint, stepped_frames(joint, model.frames, delta), joint.moved(model.q, dq), tracks.data)
+        moved = errors(
+            joint, stepped_frames(joint, model.frames, delta), joint.moved(model.q, dq), tracks.data.R, tracks.data.t
+        )
         return whitening(moved.d, moved.e)
 
     def slope(delta: FloatArray, dq: FloatArray) -> FloatArray:
@@ -100,7 +102,7 @@ def test_jacobians_are_those_of_finite_differences(name: str, size_m: float, siz
     tracks, one = tracks_of(T_meas), np.ones(3, dtype=bool)
     tracks = replace(tracks, noise=unknown_noise(T_meas, one, one))
     model = Model(frames, q, np.tile([0.5, 2.0], (3, 1)), np.full(3, 0.05), np.full(3, 0.01))
-    at, whitening = errors(joint, frames, q, tracks.data), tracks.data.noise.whitening(model.scales)
+    at, whitening = errors(joint, frames, q, tracks.data.R, tracks.data.t), tracks.data.noise.whitening(model.scales)
     linear = linearised(joint, model, at, whitening, whitening(at.d, at.e))
     by_parameters, by_states = numeric_jacobians(joint, model, tracks)
     whole = linear.by_parameters - np.einsum("rspt,snpt->rnpt", by_states, linear.coupling)

@@ -11,7 +11,9 @@ any rotation for spherical, none for rigid. The paper's parametrisations (18, 20
 type's parameters: 6 rigid, 7 prismatic, 9 revolute, 10 screw, 6 spherical.
 
 A type needs forward kinematics (`axis_motion`), inverse kinematics (`axis_state`), the twists of its state and form,
-and a start for a fit; everything else follows.
+and a start for a fit; everything else follows. Only a type whose states are no plain numbers, such as the rotation
+vectors of a ball or the full turns of a screw, says besides how they add, go on and are told otherwise (`moved`,
+`over_time`, `continuous`, `nearest_turn`, `reversed` and those below it).
 """
 
 from __future__ import annotations

@@ -1,0 +1,133 @@
+"""Free pairs: parts that nothing joins. A hypothesis on a pair and no joint type, as it has no edge.
+
+A joint of unknown noise explains any motion: what it can't follow is noise. So noise is looked at. What the likeliest
+type leaves of a pair's motion is taken for
+
+- noise, as far as it is forgotten within LAG of the record: white noise may be of any size;
+- a tracker's slow errors, as far as they are no more than SLOW_M and SLOW_RAD for each part, orientation errors of the
+  parent acting over the distance; or as long as the joint explains all of the motion but a share of SHARE, both
+  weighed by the noise: what moved far may have large errors;
+- and beyond, motion: the pair is free. So it is if orientations err by ABSURD_RAD, as no tracker does, and if fewer
+  than MOST of the frames are inliers: any joint goes through some frames of a motion.
+
+With kappa the variance of what isn't forgotten over what slow errors may have, a square that is known as one of n
+independent numbers is, the pair is free with the probability that chi squared of n degrees is below n kappa. What isn't
+forgotten counts only if it is more than SURE deviations of what white noise would show by chance.
+
+A pair whose noise fills the scene (its weight is not below that of nothing but outliers) is no edge anyhow.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import chdtr, chdtrc
+
+from station.fit.noise import INLIER_ABOVE
+from station.fit.pairwise import JointFit, PairTracks
+from station.fit.whitening import UnknownNoise
+from station.kinematics import se3
+from station.logs import FloatArray
+
+BoolArray = NDArray[np.bool_]
+
+# Deviations for each axis: markers and cameras of tracked doors and drawers err by 1-3 mm and 0.5-2 deg for seconds.
+SLOW_M, SLOW_RAD = 0.004, float(np.radians(2.5))
+# For each axis; two parts tracked to 10 deg each are off by 14 deg.
+ABSURD_RAD = float(np.radians(25.0))
+# Share of the frames.
+MOST = 0.5
+# Share of the motion's variance that a joint may leave to errors: a tracker's are a few hundredths of it at most, and a
+# linkage that is only nearly straight, by 30 deg to either side, leaves as much.
+SHARE = 0.05
+# Share of the record over which noise is forgotten.
+LAG = 0.02
+SURE = 3.5
+# Share of the relative orientation's variance above which the parent has a part in it.
+PARENTS_SHARE = 0.05
+
+
+def log_odds_of_free(best: JointFit, still: JointFit | None, tracks: PairTracks, repeats: FloatArray) -> FloatArray:
+    """(P,) log odds that a pair is free.
+
+    Args:
+        best: the likeliest type.
+        still: the rigid joint, whose residuals are the motion; None if it was not fitted: no share of it counts then.
+        tracks: what both were fitted to.
+        repeats: (P,) frames that repeat an error of the likeliest type.
+    """
+    good = (best.inlier > INLIER_ABOVE) & tracks.seen
+    kappa = _slow_errors(best, tracks, good)
+    if still is not None:
+        kappa = np.minimum(kappa, _share_left(best, still, tracks, good) / SHARE)
+    numbers = np.maximum(np.sum(tracks.dimensions * good, axis=-1) / repeats, 6.0)
+    below: FloatArray = np.asarray(chdtr(numbers, numbers * kappa), dtype=np.float64)
+    above: FloatArray = np.asarray(chdtrc(numbers, numbers * kappa), dtype=np.float64)
+    tiny = np.finfo(float).tiny
+    odds = np.log(np.maximum(below, tiny)) - np.log(np.maximum(above, tiny))
+    absurd = _turns(best, good & tracks.oriented) > ABSURD_RAD
+    absurd |= good.sum(axis=-1) < MOST * tracks.seen.sum(axis=-1)
+    return np.where(absurd, -np.log(tiny), odds)
+
+
+def _turns(fit: JointFit, good: BoolArray) -> FloatArray:
+    """(P,) rad for each axis: root mean square of the orientation errors in good frames."""
+    square = np.sum(fit.residual[..., 3:] ** 2, axis=-1)
+    return np.sqrt(np.sum(good * square, axis=-1) / (3 * np.maximum(good.sum(axis=-1), 1)))
+
+
+def _slow_errors(fit: JointFit, tracks: PairTracks, good: BoolArray) -> FloatArray:
+    """(P,) variance of errors that last, over that which slow errors may have: the larger of position, orientation."""
+    data = tracks.data
+    noisy = tracks.noise.noisy if tracks.noise.noisy is not None else _noisy(tracks)
+    slow = UnknownNoise(data.t, noisy, tracks.seen, tracks.oriented, np.zeros(2))
+    whitening = slow.whitening(np.tile([SLOW_M**2, SLOW_RAD**2], (len(good), 1)))
+    d, e = (np.einsum("ijpt,ptj->ipt", data.R, part) for part in np.split(fit.residual, 2, axis=-1))
+    u = np.moveaxis(whitening(d, e), 0, -1)
+    lasting, of_all, deviations = zip(
+        _lasting(u[..., :3], good), _lasting(u[..., 3:], good & tracks.oriented), strict=True
+    )
+    sure = np.sum(of_all, axis=0) > SURE * np.sqrt(np.sum(np.square(deviations), axis=0))
+    return np.where(sure, np.maximum(*lasting), 0.0)
+
+
+def _lasting(u: FloatArray, good: BoolArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Covariance (P,), for each axis, of errors u (P, T, 3) with those a lag later, in the good frames only; as a share
+    of their variance; and that share's deviation if errors are independent.
+    """
+    order = np.argsort(~good, axis=-1, kind="stable")
+    u, good = np.take_along_axis(u, order[..., None], axis=1), np.take_along_axis(good, order, axis=-1)
+    count = good.sum(axis=-1)
+    lag = max(1, round(LAG * float(count.max(initial=0))))
+    u, pairs = np.where(good[..., None], u, 0.0), np.maximum(count - lag, 1)
+    lasting = np.sum(u[:, lag:] * u[:, :-lag], axis=(1, 2)) / (3 * pairs)
+    whole = np.sum(u**2, axis=(1, 2)) / (3 * np.maximum(count, 1))
+    known = (count > lag) & (whole > 0)
+    share = np.where(known, lasting / np.where(known, whole, 1.0), 0.0)
+    return np.where(known, np.maximum(lasting, 0.0), 0.0), share, np.where(known, 1 / np.sqrt(3 * pairs), 0.0)
+
+
+def _share_left(best: JointFit, still: JointFit, tracks: PairTracks, good: BoolArray) -> FloatArray:
+    """(P,) share of the motion, in units of the noise, that the likeliest type leaves; of a rigid one's, all."""
+    whitener, _ = tracks.noise.whitener(best.model.scales, tracks.seen, tracks.oriented)
+    left, moved = (
+        np.sum(good * np.sum((whitener @ fit.residual[..., None])[..., 0] ** 2, axis=-1), axis=-1)
+        for fit in (best, still)
+    )
+    return left / np.maximum(moved, np.finfo(float).tiny)
+
+
+def _noisy(tracks: PairTracks) -> FloatArray:
+    """(2, P) 1 for the child, and for a parent that has a part in the given covariances, else 0.
+
+    A parent's orientation errors of variance v move the child: cov(position, orientation) has the part v hat(p), with p
+    the parent in the child.
+    """
+    p = se3.inverse(tracks.T_a_b)[..., :3, 3]
+    both, own = tracks.noise.shape[..., :3, 3:], np.trace(tracks.noise.shape[..., 3:, 3:], axis1=-2, axis2=-1) / 3
+    across = np.stack(
+        [both[..., 2, 1] - both[..., 1, 2], both[..., 0, 2] - both[..., 2, 0], both[..., 1, 0] - both[..., 0, 1]], -1
+    )
+    told = np.sum(tracks.seen * np.sum(across * p, axis=-1), axis=-1)
+    whole = np.sum(tracks.seen * own * 2 * np.sum(p**2, axis=-1), axis=-1)
+    return np.stack([told > PARENTS_SHARE * whole, np.ones(len(told), dtype=bool)]).astype(np.float64)
