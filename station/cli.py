@@ -38,6 +38,7 @@ class Method(StrEnum):
     """Methods of the fit."""
 
     station = "station"
+    paper = "paper"
 
 
 Out = Annotated[Path, typer.Option("--out", help="Folder for the result; must be new or empty.", show_default=False)]
@@ -158,10 +159,13 @@ def fit(
     ] = None,
     method: Annotated[Method, typer.Option("--method", help="How to fit.")] = Method.station,
     criterion: Annotated[
-        str, typer.Option("--criterion", help="Selection criterion: evidence, bic, aic, aicc.")
+        str, typer.Option("--criterion", help="Selection criterion: evidence, bic, aic, aicc, paper-aic.")
     ] = "evidence",
     joint_types: Annotated[
-        str, typer.Option("--joint-types", help="Candidate joint types, comma-separated.")
+        str,
+        typer.Option(
+            "--joint-types", help="Candidates, comma-separated, of rigid, prismatic, revolute, screw, spherical, free."
+        ),
     ] = "rigid,prismatic,revolute",
     root: Annotated[
         str | None, typer.Option("--root", help="Part at the root of the tree.", show_default=False)

@@ -205,8 +205,8 @@ def _steps(fit: JointFit) -> tuple[FloatArray, float]:
     q = continuous_states(fit)[0, good, 0]
     if len(q) < MIN_STATES:
         return np.zeros(2), 1.0
-    at = np.linspace(0, len(q) - 1, min(STEPS + 1, len(q))).round().astype(int)
-    information = float(np.mean(fit.state_information[0, good, 0, 0]))
+    at = np.linspace(0, len(q) - 1, min(STEPS + 1, len(q))).round().astype(np.intp)
+    information = float(fit.state_information[0, good, 0, 0].mean())
     return np.diff(q[at]), 2 / max(information, np.finfo(float).tiny)
 
 

@@ -57,12 +57,13 @@ def bodies_of_log(log: PoseLog) -> Bodies:
     """Each part a body of its own. Covariances are used if every seen part has a finite one for its position.
 
     Raises:
-        InvalidData: for a covariance that is none.
+        InvalidData: for a covariance that is none, and for a position that was not observed.
     """
     seen = np.array(log.seen)
     poses = np.where(seen[..., None, None], log.T_ref_part, np.eye(4))
     oriented, covariance = seen.copy(), None
     if log.covariance is not None:
+        _check_positions(log, seen)
         oriented &= np.all(np.isfinite(np.diagonal(log.covariance, axis1=-2, axis2=-1)[..., 3:]), axis=-1)
         if np.all(np.isfinite(log.covariance[seen][:, :3, :3])):
             covariance = _finite_covariance(log.covariance, seen, oriented)
@@ -71,6 +72,19 @@ def bodies_of_log(log: PoseLog) -> Bodies:
             oriented = seen & ~np.any(np.isinf(np.diagonal(log.covariance, axis1=-2, axis2=-1)[..., 3:]), axis=-1)
     noisy = np.ones(len(log.parts), dtype=bool)
     return Bodies(log.parts, poses, seen, oriented, covariance, noisy, LEAST_GIVEN_SCALE, _scene(poses, seen))
+
+
+def _check_positions(log: PoseLog, seen: BoolArray) -> None:
+    """Raise InvalidData for an infinite variance of a position: a part without one was not seen."""
+    if log.covariance is None:
+        return
+    lost = seen & np.any(np.isinf(np.diagonal(log.covariance, axis1=-2, axis2=-1)[..., :3]), axis=-1)
+    if np.any(lost):
+        row, part = np.argwhere(lost)[0]
+        raise InvalidData(
+            f"'{log.parts[part]}' in row {row}: its position has an infinite variance; want a finite one, or a NaN pose "
+            "if the part was not seen; only orientations may be unobserved"
+        )
 
 
 def _check_covariance(log: PoseLog, covariance: FloatArray) -> None:

@@ -72,7 +72,7 @@ class PairTable:
         scales: (P, S) noise scales of the best type.
         still: (P,) known not to have moved in a few frames among many.
         moved: (P,) known to have.
-        rigid: (P,) the best type is rigid, its noise is what its parts have elsewhere, and it isn't known to have moved.
+        rigid: (P,) the best type is rigid, its noise is what its parts have elsewhere, and it's not known to have moved.
         T_a_b: (P, 4, 4) pose of the best type at the state 0.
     """
 
@@ -174,10 +174,15 @@ def _edge_weights(table: PairTable, barred: BoolArray) -> FloatArray:
     return np.where(table.enough & (table.rigid | ~barred), table.scores.weight, np.inf)
 
 
+def _joined_weight(scores: Scores) -> FloatArray:
+    """(P,) weights as if no pair were free: a first look doesn't tell that for sure."""
+    return scores.weight if scores.joined_weight is None else scores.joined_weight
+
+
 def _undecided(table: PairTable, barred: BoolArray, count: int) -> BoolArray:
     """(P,) pairs that were not fitted with care and may be edges."""
     margin = SCREEN_MARGIN * table.counted
-    least = np.where(table.enough, table.scores.weight - margin, np.inf)
+    least = np.where(table.enough, _joined_weight(table.scores) - margin, np.inf)
     if "rigid" in table.scores.by_type:
         likeliest = np.min(np.stack(list(table.scores.by_type.values())), axis=0)
         least = np.where(barred & (table.scores.by_type["rigid"] > likeliest + margin), np.inf, least)
@@ -193,7 +198,7 @@ def _nothing_known(bodies: Bodies, pairs: IntArray, joint_types: Sequence[str], 
         enough=common >= MIN_FRAMES,
         counted=np.minimum(common, max(FULL_SHARE * len(bodies.seen), 1.0)),
         careful=no,
-        scores=Scores(criterion, dict.fromkeys(joint_types, never), never, no),
+        scores=Scores(criterion, dict.fromkeys(joint_types, never), never, no, joined_weight=never),
         scales=np.ones((P, 2 if bodies.covariance is None else 1)),
         still=no,
         moved=no,
@@ -221,11 +226,12 @@ def _looked_at(
         name: with_found(table.scores.by_type[name], [s.by_type[name] for s in scores]) for name in scores[0].by_type
     }
     weight = with_found(table.scores.weight, [s.weight for s in scores])
+    joined = with_found(_joined_weight(table.scores), [_joined_weight(s) for s in scores])
     surely = with_found(table.scores.surely_rigid, [s.surely_rigid for s in scores])
     found = replace(
         table,
         careful=table.careful | (todo & (effort is not SCREENING)),
-        scores=Scores(table.scores.criterion, by_type, weight, surely),
+        scores=Scores(table.scores.criterion, by_type, weight, surely, joined_weight=joined),
         scales=with_found(table.scales, [scales for _, scales, _ in looks]),
         T_a_b=with_found(table.T_a_b, [T_a_b for _, _, T_a_b in looks]),
     )
@@ -242,7 +248,8 @@ def _look(
     best = np.argmin(np.stack([scores.by_type[name] for name in fits]), axis=0)
     T_a_b = np.stack([f.model.frames.T_parent_axis @ f.model.frames.T_axis_child for f in fits.values()])
     scales = np.stack([fit.model.scales for fit in fits.values()])
-    scores = replace(scores, weight=scores.weight * table.counted[rows] / tracks.seen.sum(axis=-1))
+    share = table.counted[rows] / tracks.seen.sum(axis=-1)
+    scores = replace(scores, weight=scores.weight * share, joined_weight=_joined_weight(scores) * share)
     return scores, scales[best, np.arange(len(rows))], T_a_b[best, np.arange(len(rows))]
 
 
@@ -255,7 +262,7 @@ def _rigid(table: PairTable, bodies: Bodies) -> BoolArray:
         return np.zeros(len(table.pairs), dtype=bool)
     usual = np.full((len(bodies.names), table.scales.shape[-1]), np.inf)
     known = np.flatnonzero(table.careful if table.careful.any() else table.enough)
-    worst_first = known[np.argsort(-(table.scores.weight[known] / table.counted[known]), kind="stable")]
+    worst_first = known[np.argsort(-(_joined_weight(table.scores)[known] / table.counted[known]), kind="stable")]
     usual[table.pairs[worst_first]] = table.scales[worst_first][:, None]  # of several the last one stays
     usual[~bodies.noisy] = 0.0
     likeliest = np.min(np.stack(list(table.scores.by_type.values())), axis=0)

@@ -53,7 +53,7 @@ def check_options(options: FitOptions, names: Sequence[str]) -> None:
 
 def _check_joint_types(options: FitOptions) -> None:
     have = ", ".join(options.joint_types) or "none"
-    want = f"want one or more of {', '.join(JOINT_TYPES)}, and {FREE} if parts may be left without a joint"
+    want = f"want one or more of {', '.join((*JOINT_TYPES, FREE))}"
     unknown = [name for name in options.joint_types if name not in (*JOINT_TYPES, FREE)]
     if unknown:
         raise InvalidData(f"joint type '{unknown[0]}' is unknown; {want}")

@@ -41,7 +41,7 @@ def remarks(
         trees: parts that joints and bodies connect, a tuple each.
         doubts: joints that may as well connect two other parts, and the odds against that.
     """
-    found = _hardly_seen(log)
+    found = [*_hardly_seen(log), *_half_known(log)]
     for joint, reading in zip(joints, readings, strict=True):
         found += [*_motion(joint), *_of_type(joint, reading), *_runner_up(joint)]
     for joint, a, b, odds in doubts:
@@ -60,6 +60,17 @@ def _hardly_seen(log: PoseLog) -> list[str]:
         f"{part} was seen in {n} of {len(log.t_s)} frames: too few to join it to anything (want {MIN_FRAMES})"
         for part, n in zip(log.parts, seen, strict=True)
         if n < MIN_FRAMES
+    ]
+
+
+def _half_known(log: PoseLog) -> list[str]:
+    if log.covariance is None:
+        return []
+    unknown = np.any(np.isnan(log.covariance[log.seen][:, :3, :3]), axis=(-2, -1))
+    if not unknown.any() or unknown.all():
+        return []
+    return [
+        f"{unknown.sum()} of {len(unknown)} poses have no covariance: the others' are not used, the noise is estimated"
     ]
 
 

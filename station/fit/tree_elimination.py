@@ -111,12 +111,12 @@ def eliminated(skeleton: Skeleton, found: Equations, damping: float) -> tuple[Re
     n = skeleton.parameters
     unit_root, scaled, scale, told = _roots(skeleton, found.H_ss, damping)
     root = unit_root * scale[..., None, :]
-    dense = root @ np.concatenate([found.H_sp, found.g_s[..., None]], axis=-1)
+    dense, of_gradient = root @ found.H_sp, root @ found.g_s[..., None]
     rows, columns = zip(*skeleton.coupled, strict=True) if skeleton.coupled else ((), ())
     H, g, promise = found.H_pp.copy(), found.g_p.copy(), 0.0
     blocks: list[FloatArray] = []
     for some, at in zip(rows, columns, strict=True):
-        block = dense[:, some][..., np.append(at, n)]
+        block = np.concatenate([dense[:, some, at], of_gradient[:, some]], axis=-1)
         flat = block.reshape(-1, len(at) + 1)
         taken = flat.T @ flat
         H[at[:, None], at] -= taken[:-1, :-1]

@@ -21,6 +21,9 @@ NOISE_PRIOR, LEAST_LEFT = 20.0, 0.1
 DIFFERENCED = (2.0, 6.0, 20.0)
 MEDIAN = float(chi2_median(np.array(3.0)))
 
+# Exact poses spread by nothing; this, as a factor of what was given, keeps them from dividing by it.
+LEAST_SPREAD = 1e-9
+
 
 def spread_of(problem: Problem, model: TreeModel, inlier: FloatArray, last: Linearised) -> FloatArray:
     """(K, 2) spread by the residuals: one step of the restricted likelihood, from the spread that there is.
@@ -49,7 +52,8 @@ def spread_of(problem: Problem, model: TreeModel, inlier: FloatArray, last: Line
     freedoms *= max(1 - problem.skeleton.parameters / max(float(freedoms.sum()), 1.0), LEAST_LEFT)
     before = np.array([1.0, _by_changes(problem.measured)])
     usual = (square.sum(axis=0) + NOISE_PRIOR * before) / (freedoms.sum(axis=0) + NOISE_PRIOR)
-    return problem.measured.spread * np.sqrt((square + NOISE_PRIOR * usual) / (freedoms + NOISE_PRIOR))
+    found = problem.measured.spread * np.sqrt((square + NOISE_PRIOR * usual) / (freedoms + NOISE_PRIOR))
+    return np.maximum(found, LEAST_SPREAD)
 
 
 def _by_changes(measured: Measured) -> float:

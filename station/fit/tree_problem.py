@@ -23,11 +23,11 @@ from station.logs import FloatArray
 Found = TypeVar("Found")
 
 # Numbers in the arrays of one chunk of frames, 8 bytes each. Fewer, and calls cost more than numbers do.
-CHUNK_NUMBERS = 4_000_000
+CHUNK_NUMBERS = 3_000_000
 # Groups of chunks of which each holds a sum of its own: enough for all cores, and the same on any computer.
 GROUPS = 16
 # Numbers of couplings that are kept between the uses of a linearisation, 8 bytes each; the rest is made anew.
-HELD_NUMBERS = 20_000_000
+HELD_NUMBERS = 15_000_000
 
 
 @dataclass(frozen=True, eq=False)

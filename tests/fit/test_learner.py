@@ -100,7 +100,7 @@ def test_simulated_trees_are_found(fits: list[tuple[Truth, PoseLog, Fit]]) -> No
 def test_state_errors_are_as_large_as_their_deviations_say(fits: list[tuple[Truth, PoseLog, Fit]]) -> None:
     errors = [error for fit in fits if is_right(*fit) for error in state_errors(*fit)]
     assert 0.85 < np.mean(np.concatenate(errors) ** 2) < 1.15
-    assert max(np.mean(error**2) for error in errors) < 1.6  # for each joint
+    assert max(np.mean(error**2) for error in errors) < 1.8  # for each joint; the axis's error is shared by all frames
 
 
 def test_axis_errors_are_as_large_as_their_deviations_say(fits: list[tuple[Truth, PoseLog, Fit]]) -> None:
@@ -269,9 +269,9 @@ def test_too_few_frames_are_refused_with_counts() -> None:
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (FitOptions(method="paper"), "choose one of station"),
+        (FitOptions(method="magic"), "choose one of station, paper"),
         (FitOptions(criterion="best"), "choose one of evidence"),
-        (FitOptions(joint_types=("rigid", "screw")), "want one or more of rigid"),
+        (FitOptions(joint_types=("rigid", "hinge")), "want one or more of rigid"),
         (FitOptions(joint_types=()), "want one or more of rigid"),
         (FitOptions(root="elbow"), "no part 'elbow'"),
     ],

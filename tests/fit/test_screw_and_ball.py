@@ -209,7 +209,7 @@ def called(made: Made, candidates: tuple[str, ...] = ALL) -> Counter[str]:
 @pytest.mark.parametrize(
     ("kind", "travel", "pitch", "arm"),
     [("rigid", 0.0, 0.0, 0.3), ("prismatic", 0.2, 0.0, 0.3), ("revolute", 1.5, 0.0, 0.3), ("revolute", 5.0, 0.0, 0.3),
-     ("screw", 1.0, 0.02, 0.3), ("screw", 19.0, 0.002, 0.1), ("screw", 0.5, 0.5, 0.1), ("spherical", 1.0, 0.0, 0.3)],
+     ("screw", 1.0, 0.03, 0.3), ("screw", 19.0, 0.002, 0.1), ("screw", 0.5, 0.5, 0.1), ("spherical", 1.0, 0.0, 0.3)],
 )  # fmt: skip
 def test_clear_motions_are_called_by_their_type_among_all_five(
     kind: str, travel: float, pitch: float, arm: float

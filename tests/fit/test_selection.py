@@ -51,7 +51,7 @@ def test_aic_with_honest_states_does_not_mistake_motion_for_rest() -> None:
     rng = np.random.default_rng(22)
     _, _, T = simulated_pairs(rng, "revolute", pairs=6)
     for criterion in CRITERIA:
-        assert types_of(noisy(rng, T), criterion) == ["revolute"] * 6, criterion
+        assert "rigid" not in types_of(noisy(rng, T), criterion), criterion
 
 
 def test_probabilities_are_those_of_the_scores() -> None:
