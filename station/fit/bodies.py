@@ -82,8 +82,8 @@ def _check_positions(log: PoseLog, seen: BoolArray) -> None:
     if np.any(lost):
         row, part = np.argwhere(lost)[0]
         raise InvalidData(
-            f"'{log.parts[part]}' in row {row}: its position has an infinite variance; want a finite one, or a NaN pose "
-            "if the part was not seen; only orientations may be unobserved"
+            f"'{log.parts[part]}' in row {row}: its position has an infinite variance; want a finite one, or a NaN pose"
+            " if the part was not seen; only orientations may be unobserved"
         )
 
 

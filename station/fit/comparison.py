@@ -72,7 +72,7 @@ class PairTable:
         scales: (P, S) noise scales of the best type.
         still: (P,) known not to have moved in a few frames among many.
         moved: (P,) known to have.
-        rigid: (P,) the best type is rigid, its noise is what its parts have elsewhere, and it's not known to have moved.
+        rigid: (P,) the best type is rigid, its noise is what its parts have elsewhere, and not known to have moved.
         T_a_b: (P, 4, 4) pose of the best type at the state 0.
     """
 
