@@ -61,9 +61,9 @@ def consensus_models(joint: JointType, tracks: PairTracks, explained: BoolArray,
     case = _Case(joint, tracks.T_a_b, usable, tracks.scene_m3, by_pose)
     best = case.judged(frames)
     for _ in range(LOCAL_ROUNDS):  # each round's inliers come from the last
-        readings = closed_form(joint, tracks.T_a_b, best.inlier, by_pose=by_pose)
+        readings = closed_form(joint, tracks.T_a_b, case.weights(best), by_pose=by_pose)
         best = _likeliest([best, *map(case.judged, readings)])
-    return _model(joint, tracks, best, by_pose=by_pose)
+    return _model(case, tracks, best)
 
 
 @dataclass(frozen=True, eq=False)
@@ -220,6 +220,13 @@ class _Case:
             found = _Judged(frames, squares, self._settled(mean), self._share(weight), cost, inlier)
         return found
 
+    def weights(self, some: _Judged) -> FloatArray:
+        """(B, N) weights for another joint: the inliers', or those of all frames where too few are inliers to make
+        one.
+        """
+        enough = some.inlier.sum(axis=-1) >= sample_size(self.joint, by_pose=self.by_pose)
+        return np.where(enough[:, None], some.inlier, self.usable)
+
     def cost_at(self, some: _Judged, variance: FloatArray) -> FloatArray:
         """(B,) -2 log likelihood with given variances (B, k) and the likeliest share of outliers."""
         outliers, cost = some.outlier_share, some.cost
@@ -267,9 +274,9 @@ def _quantiles(squares: FloatArray, usable: BoolArray, share: float) -> FloatArr
     return np.where(np.isfinite(found[:, 0]), found[:, 0], 1.0)
 
 
-def _model(joint: JointType, tracks: PairTracks, best: _Judged, *, by_pose: bool) -> Model:
-    data = tracks.data
-    q = best_states(joint, best.frames, tracks.T_a_b, tracks.oriented & by_pose, best.inlier)
-    at = errors(joint, best.frames, q, data.R, data.t)
-    scales = data.noise.mean_scales(at.d, at.e, best.inlier, data.oriented)
+def _model(case: _Case, tracks: PairTracks, best: _Judged) -> Model:
+    data, weights = tracks.data, case.weights(best)
+    q = best_states(case.joint, best.frames, tracks.T_a_b, tracks.oriented & case.by_pose, weights)
+    at = errors(case.joint, best.frames, q, data.R, data.t)
+    scales = data.noise.mean_scales(at.d, at.e, weights, data.oriented)
     return Model(best.frames, q, scales, best.outlier_share, np.full(len(q), FLIP_SHARE_START))

@@ -53,7 +53,7 @@ def evidence(fits: Mapping[str, JointFit], tracks: PairTracks) -> Evidence:
     seen = {name: found[name].seen for name in order}
     time = correlation_time(fits, tracks, {name: each.total for name, each in found.items()})
     measured = np.log(np.maximum(tracks.dimensions.sum(axis=-1) / time, 2.0))
-    price = {name: each.parameters * measured + size_price(fits[name]) for name, each in found.items()}
+    price = {name: each.parameters * measured + size_price(fits[name], tracks.lab_m) for name, each in found.items()}
     plain = {name: each.total / time + price[name] for name, each in found.items()}
 
     def with_lookalikes(scores: Mapping[str, FloatArray]) -> dict[str, FloatArray]:

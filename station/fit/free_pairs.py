@@ -31,7 +31,8 @@ from station.logs import FloatArray
 
 BoolArray = NDArray[np.bool_]
 
-# Deviations for each axis: markers and cameras of tracked doors and drawers err by 1-3 mm and 0.5-2 deg for seconds.
+# Deviations for each axis: markers and cameras of tracked doors and drawers err by 1-3 mm and 0.5-2 deg for seconds. In
+# a scene of more than a metre, for each metre of it.
 SLOW_M, SLOW_RAD = 0.004, float(np.radians(2.5))
 # For each axis; two parts tracked to 10 deg each are off by 14 deg.
 ABSURD_RAD = float(np.radians(25.0))
@@ -81,7 +82,7 @@ def _slow_errors(fit: JointFit, tracks: PairTracks, good: BoolArray) -> FloatArr
     data = tracks.data
     noisy = tracks.noise.noisy if tracks.noise.noisy is not None else _noisy(tracks)
     slow = UnknownNoise(data.t, noisy, tracks.seen, tracks.oriented, np.zeros(2))
-    whitening = slow.whitening(np.tile([SLOW_M**2, SLOW_RAD**2], (len(good), 1)))
+    whitening = slow.whitening(np.tile([(SLOW_M * tracks.lab_m) ** 2, SLOW_RAD**2], (len(good), 1)))
     d, e = (np.einsum("ijpt,ptj->ipt", data.R, part) for part in np.split(fit.residual, 2, axis=-1))
     u = np.moveaxis(whitening(d, e), 0, -1)
     lasting, of_all, deviations = zip(

@@ -9,9 +9,8 @@ frames enough. So the evidence of a type that was seen is shared between it and 
 Faked traits are half-normal about none; real ones have any size (log-uniform over RANGE), unless a prior is said:
 
 - any motion may be the wobble of a rigid part: WOBBLE times the noise that is left in the states;
-- a hinge may be a slide. Its curvature is faked up to BENT_PER_M and its turn up to BENT_TURN_RAD: straight lines look
-  like circles of 5 m, and leave their chord by up to a hundredth of its length. A real hinge is ARM_M or so from what
-  it carries;
+- a hinge may be a slide. Straight lines look like circles of BENT_M or more, and the turn is faked up to BENT_TURN_RAD:
+  they leave their chord by up to a hundredth of its length. A real hinge is ARM_M or so from what it carries;
 - a screw may be a hinge or a slide if its poses differ from theirs by no more than WOBBLE times the noise;
 - a ball may be a hinge if the second of its turns is FAKED_TURN_RAD or so; a real one's is BALL_TURN_RAD.
 """
@@ -31,9 +30,10 @@ from station.logs import FloatArray
 WOBBLE = 0.5
 # Logarithm of the largest over the least size that a real motion may have, in units of the noise.
 RANGE = float(np.log(1e3))
+# Lengths [m]; in a scene of more than a metre, for each metre of it.
 ARM_M = 1.0
 PITCH_M_PER_RAD = 0.05
-BENT_PER_M = 0.2
+BENT_M = 5.0
 BENT_TURN_RAD = float(np.radians(4.5))
 FAKED_TURN_RAD = float(np.radians(1.0))
 BALL_TURN_RAD = float(np.radians(20.0))
@@ -61,9 +61,10 @@ def arm_m(fit: JointFit) -> FloatArray:
     return np.linalg.norm(p[:, :2] if fit.joint.has_axis else p, axis=-1)
 
 
-def size_price(fit: JointFit) -> FloatArray:
+def size_price(fit: JointFit, lab_m: float) -> FloatArray:
     """(P,) -2 log density, but for a constant, of arms about ARM_M and pitches about PITCH_M_PER_RAD."""
-    return (arm_m(fit) / ARM_M) ** 2 + np.sum((fit.model.frames.form / PITCH_M_PER_RAD) ** 2, axis=-1)
+    arm, pitch = arm_m(fit) / (ARM_M * lab_m), fit.model.frames.form / (PITCH_M_PER_RAD * lab_m)
+    return arm**2 + np.sum(pitch**2, axis=-1)
 
 
 def _half_normal(x: FloatArray, deviation: FloatArray | float) -> FloatArray:
@@ -78,10 +79,10 @@ def _within_noise(over_noise: FloatArray) -> FloatArray:
 
 
 def _bend(hinge: Seen, slide: Seen, tracks: PairTracks) -> FloatArray:
-    """By the curvature 1 / r, in which both densities are told."""
-    radius = np.maximum(arm_m(hinge.fit), NOTHING)
+    """By the curvature 1 / r, in which both densities are told, with r in metres of the lab."""
+    radius = np.maximum(arm_m(hinge.fit) / tracks.lab_m, NOTHING)
     length = radius * hinge.spread.travel
-    faked = 1 / np.sqrt(BENT_PER_M**-2 + (length / BENT_TURN_RAD) ** 2)
+    faked = 1 / np.sqrt(BENT_M**2 + (length / BENT_TURN_RAD) ** 2)
     return _half_normal(1 / radius, faked) - _half_normal(radius, ARM_M) - 2 * np.log(radius)
 
 

@@ -63,11 +63,20 @@ class PairTracks:
         """(P, T) logarithm of the density of an outlier [1/m^3 or 1/(m^3 rad^3)]; 0 unseen."""
         return -1.0 * (self.seen * np.log(self.scene_m3) + self.oriented * np.log(ROTATION_VOLUME))
 
+    @property
+    def scene_m(self) -> float:
+        """Side of the volume."""
+        return self.scene_m3 ** (1 / 3)
+
+    @property
+    def lab_m(self) -> float:
+        """What stands for a metre where sizes usual in a lab are told: more than one in a scene that is larger."""
+        return max(self.scene_m, 1.0)
+
     @cached_property
     def data(self) -> PairData:
         """The same with entries first; worked out when it is first asked for."""
-        scene_m = self.scene_m3 ** (1 / 3)
-        return pair_data(self.T_a_b, self.seen, self.oriented, self.noise, self.log_outlier_density, scene_m)
+        return pair_data(self.T_a_b, self.seen, self.oriented, self.noise, self.log_outlier_density, self.scene_m)
 
     def take(self, pairs: NDArray[np.intp] | slice) -> PairTracks:
         """The tracks of some of the pairs."""

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from true_trees import measured_of, true_tree
+from true_trees import measured_of, true_tree, turned_tree
 
 from station.fit.skeleton import Skeleton, TreeModel, with_parameters
 from station.fit.tree_residuals import Measured
@@ -86,22 +86,44 @@ def test_flipped_markers_are_left_out_and_their_neighbours_are_not(root_moves: b
 @pytest.mark.parametrize("root_moves", [False, True])
 @pytest.mark.parametrize("share", [0.2, 0.4])
 def test_gross_errors_of_single_trackers_cost_no_other_pose(root_moves: bool, share: float) -> None:
+    """However the joints are named."""
     made = made_tree(1, root_moves=root_moves, trackers=(3, 3))
     skeleton, true = true_tree(made)
     measured = measured_of(logged(made, 1, Faults(outliers=share)), STD_M, STD_RAD)
     gross = off(made, measured) > GROSS_M
-    fit = refine_tree(skeleton, held_states(skeleton, true, measured, ~gross), measured.of_parts)
-    assert np.mean(fit.inlier[gross] > 0.5) < 0.01
-    assert np.mean(fit.inlier[~gross] > 0.5) > 0.99
+    start = held_states(skeleton, true, measured, ~gross)
+    for some_skeleton, some_start in ((skeleton, start), turned_tree(skeleton, start)):
+        fit = refine_tree(some_skeleton, some_start, measured.of_parts)
+        assert np.mean(fit.inlier[gross] > 0.5) < 0.01
+        assert np.mean(fit.inlier[~gross] > 0.5) > 0.99
 
 
-def test_frames_in_which_a_body_between_was_not_seen_are_used() -> None:
-    """Jumping states, single trackers, a third unseen: what is beyond must not count as outliers."""
-    made = made_tree(2)
+@pytest.mark.parametrize("root_moves", [False, True])
+def test_frames_in_which_a_body_between_was_not_seen_are_used(root_moves: bool) -> None:
+    """Jumping states, single trackers, a third unseen: what is beyond must not count as outliers. What nothing observes
+    stays where it was, near a state that was.
+    """
+    made = made_tree(2, root_moves=root_moves)
     skeleton, true = true_tree(made)
     measured = measured_of(logged(made, 2, Faults(missing=0.33)), STD_M, STD_RAD)
-    fit = refine_tree(skeleton, held_states(skeleton, true, measured, measured.seen), measured.of_parts)
-    assert np.mean(fit.inlier[measured.seen] > 0.5) > 0.995
+    start = held_states(skeleton, true, measured, measured.seen)
+    for some_skeleton, some_start in ((skeleton, start), turned_tree(skeleton, start)):
+        fit = refine_tree(some_skeleton, some_start, measured.of_parts)
+        assert np.mean(fit.inlier[measured.seen] > 0.5) > 0.99
+        assert np.abs(fit.model.q).max() < 5 * np.abs(true.q).max()
+
+
+@pytest.mark.parametrize("kind", ["revolute", "spherical"])
+def test_a_state_half_a_turn_off_is_found(kind: str) -> None:
+    """In every seventh frame; joints are named both ways."""
+    made = single_joint(np.random.default_rng(98), kind, frames=FRAMES, travel=1.0, arm_m=0.2)
+    skeleton, true = true_tree(made)
+    measured = measured_of(logged(made, 13), STD_M, STD_RAD)
+    for some_skeleton, model in ((skeleton, true), turned_tree(skeleton, true)):
+        q = model.q.copy()
+        q[::7] = skeleton.joints[0].type.moved(q[::7], np.eye(skeleton.states)[:1] * np.pi)
+        fit = refine_tree(some_skeleton, replace(model, q=q), measured.of_parts)
+        assert np.all(fit.inlier > 0.5)
 
 
 @pytest.mark.parametrize("root_moves", [False, True])

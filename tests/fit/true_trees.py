@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from station.fit.bodies import bodies_of_log, scaled_by_part
@@ -43,3 +45,14 @@ def true_tree(made: MadeObject) -> tuple[Skeleton, TreeModel]:
 def measured_of(log: PoseLog, std_m: float, std_rad: float) -> Measured:
     bodies = scaled_by_part(bodies_of_log(log), np.tile([std_m**2, std_rad**2], (len(log.parts), 1)))
     return measured_parts(bodies, range(len(log.parts)))
+
+
+def turned_tree(skeleton: Skeleton, model: TreeModel) -> tuple[Skeleton, TreeModel]:
+    """The same with every joint named from its far end."""
+    joints, frames, q = [], [], model.q.copy()
+    for j, (joint, f) in enumerate(zip(skeleton.joints, model.frames, strict=True)):
+        columns = skeleton.state_columns(j)
+        back, q[:, columns], _ = joint.type.reversed(f, q[:, columns], np.zeros((len(q), joint.type.states, 0)))
+        frames.append(back)
+        joints.append(TreeJoint(joint.child, joint.parent, joint.type, turned=True))
+    return replace(skeleton, joints=tuple(joints)), replace(model, frames=tuple(frames), q=q)
