@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import count
 
 import numpy as np
 from numpy.typing import NDArray
@@ -69,7 +70,7 @@ def _find_structure(log: PoseLog, options: FitOptions, include: bool) -> Structu
     parts = with_reference(bodies_of_log(log), log.reference)
     groups, bodies = singles(len(parts.names)), parts
     edges = np.zeros((0, 2), dtype=np.intp)
-    for level in range(len(parts.names)):  # bodies of one round are the parts of the next; each round merges some
+    for level in count():  # bodies of one round are the parts of the next; each round but the first merges some
         pairs, alone = _all_pairs(len(bodies.names)), _only_rigid(groups, include)
         table = compare_pairs(bodies, pairs, options.joint_types, options.criterion, only_rigid=alone)
         if level == 0 and not table.enough.any():
@@ -109,12 +110,12 @@ def _rigid_edges(table: PairTable, chosen: IntArray) -> IntArray:
     return surely if surely.size else rigid
 
 
-def _variances(table: PairTable, edges: IntArray, count: int) -> FloatArray:
+def _variances(table: PairTable, edges: IntArray, parts: int) -> FloatArray:
     """(K, S) noise variances of each part: the mean over its edges of the forest, or over all edges if it has none."""
     if not edges.size:
         edges = np.flatnonzero(table.enough)
     scales, pairs = table.scales[edges], table.pairs[edges]
-    found = np.tile(scales.mean(axis=0), (count, 1))
+    found = np.tile(scales.mean(axis=0), (parts, 1))
     for part in set(pairs.ravel().tolist()):
         found[part] = scales[(pairs == part).any(axis=-1)].mean(axis=0)
     return found

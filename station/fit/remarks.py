@@ -110,7 +110,8 @@ def _of_type(joint: Joint, reading: JointReading) -> list[str]:
 def _turns_one_way(q: FloatArray, std: FloatArray) -> bool:
     """Whether rotation vectors (N, 3) spread along one line, but for their noise (T, 3)."""
     second = float(np.linalg.svd(q - q.mean(axis=0), compute_uv=False)[1]) / np.sqrt(len(q))
-    return second < max(ONE_TURN_RAD, ONE_TURN_DEVIATIONS * float(np.nanmedian(std)))
+    known = std[np.isfinite(std)]  # of positions alone not every turn is
+    return second < max(ONE_TURN_RAD, ONE_TURN_DEVIATIONS * float(np.median(known)) if known.size else 0.0)
 
 
 def _runner_up(joint: Joint) -> list[str]:

@@ -50,7 +50,9 @@ def spread_of(problem: Problem, model: TreeModel, inlier: FloatArray, last: Line
 
     square, freedoms = np.sum(each(of_chunk, list(zip(last.rows, last.held, strict=True))), axis=0)
     freedoms *= max(1 - problem.skeleton.parameters / max(float(freedoms.sum()), 1.0), LEAST_LEFT)
-    before = np.array([1.0, _by_changes(problem.measured)])
+    before = np.ones(2)
+    if freedoms[:, 1].sum() < NOISE_PRIOR:
+        before[1] = _by_changes(problem.measured)
     usual = (square.sum(axis=0) + NOISE_PRIOR * before) / (freedoms.sum(axis=0) + NOISE_PRIOR)
     found = problem.measured.spread * np.sqrt((square + NOISE_PRIOR * usual) / (freedoms + NOISE_PRIOR))
     return np.maximum(found, LEAST_SPREAD)
