@@ -11,7 +11,6 @@ from scipy.linalg import expm
 from station.errors import InvalidData
 from station.kinematics import se3
 from station.kinematics.joints import JOINT_TYPES, JointFrames, JointGeometry, JointType
-from station.kinematics.joints.revolute import FAR_HINGE_M, STRAIGHT_TURN_RAD
 
 TYPES = pytest.mark.parametrize("joint", JOINT_TYPES.values(), ids=JOINT_TYPES)
 MOVABLE = pytest.mark.parametrize("joint", [j for j in JOINT_TYPES.values() if j.states], ids=lambda j: j.name)
@@ -143,7 +142,8 @@ def test_a_start_of_exact_data_is_the_joint_itself(joint: JointType, by_pose: bo
     if joint.form_freedoms:  # some readings take a pitch that is not there; test_screw has those of positions
         assert not by_pose or min(found) < 1e-9
     else:
-        assert max(found) < 1e-5  # m: the regularised circle fit's own rounding
+        bent_line = joint.name == "revolute" and by_pose  # the last one is for arcs that are nearly straight
+        assert max(found[:-1] if bent_line else found) < 1e-5  # m: the regularised circle fit's own rounding
 
 
 @TYPES
@@ -233,31 +233,32 @@ def test_a_revolute_start_needs_no_radius() -> None:
     assert np.linalg.norm(np.cross(between, axis)) < 1e-9  # m
 
 
-def test_a_far_hinge_that_hardly_turned_is_as_good_as_a_slide() -> None:
-    revolute = JOINT_TYPES["revolute"]
-    far, near = (JointFrames.plain(np.eye(4), se3.translation([r * FAR_HINGE_M, 0, 0])) for r in (1.1, 0.9))
-    little, much = np.array(0.9 * STRAIGHT_TURN_RAD), np.array(1.1 * STRAIGHT_TURN_RAD)
-    assert revolute.is_degenerate(far, little)
-    assert not revolute.is_degenerate(near, little)
-    assert not revolute.is_degenerate(far, much)
+def test_a_hinge_s_state_is_told_by_the_position_where_the_arm_is_long() -> None:
+    """Noise of 3 mm and 1 deg at 2 m: the orientation alone would tell it to 1 deg, the position to 0.1 deg."""
+    revolute, rng = JOINT_TYPES["revolute"], np.random.default_rng(13)
+    zero = se3.pose(np.eye(3), [2.0, 0.0, 0.5])
+    q = rng.uniform(-np.pi, np.pi, 500)
+    noise = se3.exp(rng.normal(size=(500, 6)) * np.repeat([0.003, np.radians(1.0)], 3))
+    found = revolute.axis_state(se3.rotation_z(q) @ zero @ noise, zero, np.zeros(0))[:, 0]
+    assert np.degrees(np.std(np.angle(np.exp(1j * (found - q))))) < 0.12  # deg
+
+
+@pytest.mark.parametrize("radius_m", [0.5, 2.0])
+def test_a_hinge_whose_arc_is_as_good_as_straight_starts_from_the_bent_line(radius_m: float) -> None:
+    """Exact but for the arc's sagitta, a thousandth of its length here: axis and centre to a few thousandths."""
+    revolute, rng = JOINT_TYPES["revolute"], np.random.default_rng(14)
+    T_parent_axis, T_axis_child = se3.exp(rng.normal(size=6)), se3.exp(rng.normal(size=6))
+    T_axis_child[:3, 3] = [radius_m, 0.0, 0.0]
+    frames = JointFrames.plain(T_parent_axis, T_axis_child)
+    start = revolute.starts(forward(revolute, frames, np.linspace(0, 0.016, 50)[:, None]), np.ones(50))[-1]
+    assert np.linalg.norm(np.cross(start.T_parent_axis[:3, 2], T_parent_axis[:3, 2])) < 0.01
+    off = start.T_parent_axis[:3, 3] - T_parent_axis[:3, 3]
+    assert np.linalg.norm(np.cross(off, T_parent_axis[:3, 2])) < 0.01 * radius_m
 
 
 def test_a_joint_that_needs_a_pitch_is_refused_without() -> None:
     with pytest.raises(InvalidData, match="screw joint needs a pitch"):
         JOINT_TYPES["screw"].frames(JointGeometry(np.array([0.0, 0, 1]), np.zeros(3), np.eye(4)))
-
-
-@TYPES
-def test_a_type_is_no_more_than_another_with_fewer_parameters(joint: JointType) -> None:
-    frames = random_frames(joint, np.random.default_rng(11), 3)
-    found = joint.no_more_than(frames, np.zeros((3, joint.states)), np.zeros(3, dtype=bool))
-    for name, same in found.items():
-        simpler = JOINT_TYPES[name]
-        cost = [
-            j.parameters + j.states * (j.states + 3) / 2 for j in (simpler, joint)
-        ]  # with mean and spread of states
-        assert cost[0] < cost[1]
-        assert same.shape == (3,)
 
 
 def test_an_axis_that_is_no_unit_vector_is_refused() -> None:

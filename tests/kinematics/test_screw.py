@@ -158,9 +158,3 @@ def test_a_start_of_positions_turns_with_the_parent_s_frame() -> None:
         told = JointFrames(T_other_parent @ here.T_parent_axis, here.T_axis_child, here.form)
         assert axis_error_deg(told, there).max() < 1e-4
         np.testing.assert_allclose(here.form, there.form, atol=1e-8)
-
-
-def test_positions_within_a_turn_tell_no_screw_from_a_hinge() -> None:
-    frames, _ = screws(np.random.default_rng(9), np.zeros((4, 1)), pitch=0.03)
-    travels, oriented = np.array([[6.2], [6.4], [6.2], [0.1]]), np.array([False, False, True, True])
-    assert SCREW.no_more_than(frames, travels, oriented)["revolute"].tolist() == [True, False, False, False]

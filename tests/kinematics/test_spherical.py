@@ -9,7 +9,6 @@ from scipy.spatial.transform import Rotation
 from station.kinematics import se3
 from station.kinematics.joints import JOINT_TYPES, JointFrames
 from station.kinematics.joints.base import BALANCE_M
-from station.kinematics.joints.spherical import SECOND_TRAVEL_RAD
 
 BALL = JOINT_TYPES["spherical"]
 NO_FORM = np.zeros(0)
@@ -146,13 +145,6 @@ def test_the_states_of_a_start_are_small_about_the_middle_of_the_motion() -> Non
     for start in BALL.starts(T, np.ones((5, 200))):
         M = se3.inverse(start.T_parent_axis)[:, None] @ T
         assert np.linalg.norm(BALL.axis_state(M, start.T_axis_child[:, None], NO_FORM), axis=-1).max() < 2.0
-
-
-def test_a_ball_that_turned_one_way_is_no_more_than_a_hinge() -> None:
-    travels = np.array([[2.0, 0.9 * SECOND_TRAVEL_RAD, 0.0], [2.0, 1.1 * SECOND_TRAVEL_RAD, 0.0]])
-    frames, _ = balls(np.random.default_rng(8), np.zeros((2, 1, 3)))
-    for oriented in (True, False):
-        assert BALL.no_more_than(frames, travels, np.full(2, oriented))["revolute"].tolist() == [True, False]
 
 
 def test_the_extent_of_a_state_is_its_angle() -> None:

@@ -19,7 +19,6 @@ vectors of a ball or the full turns of a screw, says besides how they add, go on
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -116,7 +115,6 @@ class JointType(ABC):
         axis_freedoms: entries of a right perturbation of T_parent_axis that a fit moves.
         child_freedoms: entries of a left perturbation of T_axis_child that a fit moves.
         form_freedoms: how many numbers m its `form` has.
-        limit: name of the type that this one turns into when its motion degenerates; None if there is none.
     """
 
     name: ClassVar[str]
@@ -131,30 +129,11 @@ class JointType(ABC):
     axis_freedoms: ClassVar[tuple[int, ...]]
     child_freedoms: ClassVar[tuple[int, ...]]
     form_freedoms: ClassVar[int] = 0
-    limit: ClassVar[str | None] = None
 
     @property
     def state_shape(self) -> tuple[int, ...]:
         """Shape of one state as `forward` takes it: () for a number, else (s,)."""
         return (self.states,) if self.states > 1 else ()
-
-    def is_degenerate(self, frames: JointFrames, travel: FloatArray) -> NDArray[np.bool_]:
-        """(...,) whether joints with this travel [unit] can't be told from the type's `limit` by real measurements."""
-        return np.zeros(np.shape(travel), dtype=bool)
-
-    def no_more_than(
-        self, frames: JointFrames, travels: FloatArray, oriented: NDArray[np.bool_]
-    ) -> Mapping[str, NDArray[np.bool_]]:
-        """Simpler types by name, and which joints (...,) real measurements can't tell from them.
-
-        Errors of trackers are systematic: what follows them fits better than the simpler type, and means nothing.
-
-        Args:
-            frames: (...).
-            travels: (..., s) ranges of the states along their principal directions, the longest first [unit].
-            oriented: (...,) whether orientations were measured.
-        """
-        return {}
 
     @abstractmethod
     def axis_motion(self, q: FloatArray, form: FloatArray) -> FloatArray:

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from station.kinematics import se3
 from station.kinematics.joints.base import (
+    BALANCE_M,
     JointFrames,
     JointType,
     Z,
@@ -16,20 +16,17 @@ from station.kinematics.joints.base import (
     wrapped,
 )
 from station.kinematics.joints.closed_forms import (
+    SCATTER_FLOOR,
     axis_by_turns,
     centre_by_turns,
     circle_about_z,
     frames_along_axis,
     turned_back,
-    turns_about_z,
 )
 from station.logs import FloatArray
 
-# A hinge this far off that turned by less than this is a straight slide, bent by the slide and by the tracker's
-# systematic errors: on eight real drawers tracked to 2 mm, hinges fit at 3.9 m and beyond with up to 6.8 deg; real
-# doors at 0.3-0.6 m.
-FAR_HINGE_M = 1.5
-STRAIGHT_TURN_RAD = np.radians(8.0)
+# Of a line that is as good as straight.
+LEAST_BEND_PER_M = 1e-3
 
 
 class Revolute(JointType):
@@ -51,12 +48,6 @@ class Revolute(JointType):
     has_point = True
     axis_freedoms = (0, 1, 3, 4)
     child_freedoms = (0, 1, 2, 3, 4)
-    limit = "prismatic"
-
-    def is_degenerate(self, frames: JointFrames, travel: FloatArray) -> NDArray[np.bool_]:
-        """(...,) whether the arc is as good as straight."""
-        radius = np.hypot(frames.T_axis_child[..., 0, 3], frames.T_axis_child[..., 1, 3])
-        return (radius > FAR_HINGE_M) & (np.abs(travel) < STRAIGHT_TURN_RAD)
 
     def axis_motion(self, q: FloatArray, form: FloatArray) -> FloatArray:
         """(..., 4, 4) rotation about z by q (..., 1) radians."""
@@ -72,8 +63,17 @@ class Revolute(JointType):
         return np.broadcast_to(np.eye(6)[:, 5:6], (*np.shape(form)[:-1], 6, 1))
 
     def axis_state(self, T_axis_child: FloatArray, zero: FloatArray, form: FloatArray) -> FloatArray:
-        """(..., 1) radians in (-pi, pi]: the turn about z nearest to the relative rotation (paper, 23)."""
-        return turns_about_z(T_axis_child[..., :3, :3], zero[..., :3, :3])[..., None]
+        """(..., 1) radians in (-pi, pi]: the turn about z that brings orientation and position nearest, both weighed.
+
+        Equation 23 takes the orientation alone, which tells the turn badly where the arm is long.
+        """
+        turn = T_axis_child[..., :3, :3] @ np.swapaxes(zero[..., :3, :3], -1, -2)
+        p, p_zero = T_axis_child[..., :2, 3], zero[..., :2, 3]
+        across = (
+            BALANCE_M**2 * (turn[..., 1, 0] - turn[..., 0, 1]) + p_zero[..., 0] * p[..., 1] - p_zero[..., 1] * p[..., 0]
+        )
+        along = BALANCE_M**2 * (turn[..., 0, 0] + turn[..., 1, 1]) + np.sum(p_zero * p, axis=-1)
+        return np.arctan2(across, along)[..., None]
 
     def axis_state_of_position(self, p_axis: FloatArray, zero_axis: FloatArray, form: FloatArray) -> FloatArray:
         """(..., 1) radians in (-pi, pi] between the two positions, seen along z."""
@@ -81,7 +81,9 @@ class Revolute(JointType):
         return wrapped(turn)[..., None]
 
     def starts(self, T_parent_child: FloatArray, weights: FloatArray) -> tuple[JointFrames, ...]:
-        """Axis from the rotations with the point by a line or a circle fit; and plane and circle from the positions."""
+        """Axis from the rotations with the point by a line or a circle fit; plane and circle from the positions; the
+        line through the positions, bent by how the rotations change along it.
+        """
         R, p = T_parent_child[..., :3, :3], T_parent_child[..., :3, 3]
         R_axis_parent, R_axis_child, q = axis_by_turns(R, weights)
         p_axis = p @ np.swapaxes(R_axis_parent, -1, -2)
@@ -89,7 +91,7 @@ class Revolute(JointType):
         centre, _ = circle_about_z(p_axis, weights)
         arm = weighted_mean(turned_back(p_axis - centre[..., None, :], q), weights)
         by_circle = frames_along_axis(R_axis_parent, R_axis_child, centre, arm)
-        return by_turns, by_circle, self._by_positions(p, R, weights)
+        return by_turns, by_circle, self._by_positions(p, R, weights), _by_bent_line(p, R, weights)
 
     def position_starts(self, p_parent: FloatArray, weights: FloatArray) -> tuple[JointFrames, ...]:
         """A circle in the plane of the two leading singular vectors of the positions."""
@@ -107,3 +109,26 @@ class Revolute(JointType):
         q = np.arctan2(p_axis[..., 1], p_axis[..., 0])
         back = np.swapaxes(se3.rotation_z(q)[..., :3, :3], -1, -2) @ R_axis_parent[..., None, :, :] @ R
         return frames_along_axis(R_axis_parent, mean_rotation(back, weights), centre, arm)
+
+
+def _by_bent_line(p: FloatArray, R: FloatArray, weights: FloatArray) -> JointFrames:
+    """An arc that positions don't tell from a line: its curvature is that of the rotations over the way along it.
+
+    With u along the line, s the way and w = d(rotation vector) / ds across u, the radius is 1 / |w|, the axis along w,
+    and its point, from u = w x (p - c), at c = p - u x w / |w|^2.
+    """
+    p_mean, directions = weighted_scatter(p, weights)
+    u = directions[..., 0]
+    s = np.einsum("...ti,...i->...t", p - p_mean[..., None, :], u)
+    R_mean = mean_rotation(R, weights)
+    turn = se3.log_so3(R @ np.swapaxes(R_mean, -1, -2)[..., None, :, :])
+    way = np.maximum(np.einsum("...t,...t->...", weights, s**2), SCATTER_FLOOR)
+    w = np.einsum("...t,...ti->...i", weights * s, turn) / way[..., None]
+    w = w - u * np.sum(w * u, axis=-1, keepdims=True)
+    bend = np.linalg.norm(w, axis=-1, keepdims=True)
+    axis = np.where(bend > LEAST_BEND_PER_M, w / np.maximum(bend, LEAST_BEND_PER_M), directions[..., 2])
+    bend = np.maximum(bend, LEAST_BEND_PER_M)
+    R_axis_parent = np.swapaxes(se3.rotation_between(Z, axis), -1, -2)
+    arm = np.cross(u, axis) / bend
+    centre, arm = (np.einsum("...ij,...j->...i", R_axis_parent, x) for x in (p_mean - arm, arm))
+    return frames_along_axis(R_axis_parent, R_axis_parent @ R_mean, centre, arm)

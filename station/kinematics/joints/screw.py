@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import numpy as np
-from numpy.typing import NDArray
 
 from station.kinematics import se3
 from station.kinematics.joints.base import (
@@ -65,15 +62,6 @@ class Screw(JointType):
     axis_freedoms = (0, 1, 3, 4)
     child_freedoms = (0, 1, 2, 3, 4)
     form_freedoms = 1
-
-    def no_more_than(
-        self, frames: JointFrames, travels: FloatArray, oriented: NDArray[np.bool_]
-    ) -> Mapping[str, NDArray[np.bool_]]:
-        """A hinge, as far as positions alone go: within a turn they tell the pitch from a tilt of the circle by little.
-
-        On ten real doors whose positions were tracked to 2-5 mm, pitches fit to 280 mm over 100 deg.
-        """
-        return {"revolute": ~oriented & (travels[..., 0] < TURN)}
 
     def axis_motion(self, q: FloatArray, form: FloatArray) -> FloatArray:
         """(..., 4, 4) rotation about z by q (..., 1) radians, and translation along z by form (..., 1) times q."""

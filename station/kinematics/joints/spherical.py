@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import numpy as np
-from numpy.typing import NDArray
 
 from station.kinematics import se3
 from station.kinematics.joints.base import (
@@ -22,9 +19,6 @@ from station.logs import FloatArray
 TURN = 2 * np.pi
 # Directions that are opposite to within this have all turns between them about as well: it is rounding's square root.
 OPPOSITE_RAD = 1e-8
-# Balls on real doors and drawers, which turn one way, turn another way by up to 1.3 deg where orientations were tracked
-# and 8.5 deg by positions alone: systematic errors.
-SECOND_TRAVEL_RAD = np.radians(10.0)
 
 
 class Spherical(JointType):
@@ -50,12 +44,6 @@ class Spherical(JointType):
     has_point = True
     axis_freedoms = (0, 1, 2)
     child_freedoms = (0, 1, 2)
-
-    def no_more_than(
-        self, frames: JointFrames, travels: FloatArray, oriented: NDArray[np.bool_]
-    ) -> Mapping[str, NDArray[np.bool_]]:
-        """A hinge, where it turned one way and hardly another."""
-        return {"revolute": travels[..., 1] < SECOND_TRAVEL_RAD}
 
     def axis_motion(self, q: FloatArray, form: FloatArray) -> FloatArray:
         """(..., 4, 4) rotation by the vector q (..., 3)."""
