@@ -1,5 +1,6 @@
 """From a log of poses to a kinematic tree and the states of its joints.
 
+0. parts that repeat another one are left out (copies);
 1. every pair of parts: fit every joint type to their relative poses, score them (pairwise, selection);
 2. the minimum spanning tree over the scores (structure);
 3. parts that are rigid to each other become one body, told by all of them (subclusters, bodies); those that are rigid
@@ -23,6 +24,7 @@ from station.errors import InvalidData
 from station.fit.ambiguity import Doubt, settled
 from station.fit.bodies import Group, bodies_of_log, scaled_by_part, with_reference
 from station.fit.comparison import MIN_FRAMES, PairTable, compare_pairs, edge_weights
+from station.fit.copies import without_copies
 from station.fit.fusion import fused_bodies, refined_mounts
 from station.fit.options import FitOptions, check_options
 from station.fit.reading import JointReading
@@ -52,6 +54,12 @@ def learn(log: PoseLog, options: FitOptions | None = None) -> Fit:
         from station.fit.paper import learn_paper  # only who asks for it waits for it
 
         return learn_paper(log, options)
+    copies = without_copies(log)
+    options = replace(options, root=copies.original(options.root))
+    return copies.added(_learned(copies.log, options, include), log.parts)
+
+
+def _learned(log: PoseLog, options: FitOptions, include: bool) -> Fit:
     joints_only = replace(options, joint_types=options.joints)
     structure, doubts = settled(_find_structure(log, joints_only, include), options.joints)
     roots = _roots(structure, log, options, include)
