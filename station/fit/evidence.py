@@ -7,9 +7,12 @@ is never chosen on noisy data. Here each state is integrated out:
              = N(e(q^); Sigma) N(q^; mu, C + S) / N(0; 0, S)          (Laplace: the model is straight over S)
 
 with q^ the best state, S its covariance, and the mean and spread C of the states their maximum likelihood estimates;
-C = 0 is the rigid joint, so the models nest. The mean and the spread are parameters too, and each parameter costs
-log(numbers measured) (Schwarz), with frames counted by how many of them are independent. Arms and pitches have priors,
-and what errors of trackers fake is shared out (`lookalikes`).
+C = 0 is the rigid joint, so the models nest. The joint's own numbers, the mean and the spread are integrated out
+likewise: with priors of deviations D (`priors`) and the information H of the data, they cost log det(1 + D H D). What
+the data don't tell costs nothing, and the same numbers cost the same whatever type has them. (Schwarz's price, the
+logarithm of what was measured for each, takes data to tell all of them alike: a hinge that turned by a degree would be
+called a slide for sure.) Frames count by how many of them are independent, and what errors of trackers fake is shared
+out (`lookalikes`).
 """
 
 from __future__ import annotations
@@ -20,10 +23,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from station.fit.lookalikes import Seen, shared, size_price
+from station.fit.lookalikes import Seen, shared
 from station.fit.noise import INLIER_ABOVE, time_of_correlation
 from station.fit.pairwise import JointFit, PairTracks
+from station.fit.priors import RANGE, mean_deviation, number_deviations, size_price
 from station.fit.state_spread import continuous_states, marginal_information, spread_of, spread_over_noise
+from station.kinematics.joints import JointType
 from station.logs import FloatArray
 
 BoolArray = NDArray[np.bool_]
@@ -49,15 +54,14 @@ class Evidence:
 def evidence(fits: Mapping[str, JointFit], tracks: PairTracks) -> Evidence:
     """Evidence of every fitted type."""
     found = {name: _integrated(fit, tracks) for name, fit in fits.items()}
-    order = sorted(found, key=lambda name: -found[name].joint_parameters)
+    order = sorted(found, key=lambda name: -_numbers(fits[name].joint))
     seen = {name: found[name].seen for name in order}
     time = correlation_time(fits, tracks, {name: each.total for name, each in found.items()})
-    measured = np.log(np.maximum(tracks.dimensions.sum(axis=-1) / time, 2.0))
-    price = {name: each.parameters * measured + size_price(fits[name], tracks.lab_m) for name, each in found.items()}
+    price = {name: _price(each, tracks.lab_m, time) for name, each in found.items()}
     plain = {name: each.total / time + price[name] for name, each in found.items()}
 
     def with_lookalikes(scores: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
-        real = shared({name: -0.5 * scores[name] for name in order}, seen, tracks)
+        real = shared({name: -0.5 * scores[name] for name in order}, seen, tracks, time)
         return {name: -2 * real[name] for name in fits}
 
     surely = np.zeros(len(time), dtype=bool)
@@ -69,12 +73,19 @@ def evidence(fits: Mapping[str, JointFit], tracks: PairTracks) -> Evidence:
 
 @dataclass(frozen=True, eq=False)
 class _Integrated:
-    """One type with its states integrated out: -2 log likelihood (P,), parameters (P,), the states' spread."""
+    """One type with its states integrated out: -2 log likelihood (P,), the states' spread, what tells it and its mean.
+
+    Attributes:
+        total: (P,) -2 log likelihood.
+        seen: the fit and the spread.
+        of_mean: (P, s, s) information of the states' mean.
+        of_spread: (P, s) information of the logarithms of the spread's deviations, rising.
+    """
 
     total: FloatArray
-    parameters: FloatArray
-    joint_parameters: int
     seen: Seen
+    of_mean: FloatArray
+    of_spread: FloatArray
 
 
 def _integrated(fit: JointFit, tracks: PairTracks) -> _Integrated:
@@ -82,19 +93,39 @@ def _integrated(fit: JointFit, tracks: PairTracks) -> _Integrated:
     s = fit.joint.states
     q, information = continuous_states(fit), fit.state_information
     spread = spread_of(q, information, fit.inlier)
+    G = marginal_information(spread.covariance, information)
     if s:
         d = q - spread.mean[:, None]
-        G = marginal_information(spread.covariance, information)
         chi2 = np.einsum("pti,ptij,ptj->pt", d, G, d)
         profile = profile - 0.5 * _log_det(np.eye(s) + information @ spread.covariance[:, None]) - 0.5 * chi2
     over_noise = spread_over_noise(spread, information, fit.inlier) if s else np.zeros(len(q))
-    numbers = s + s * (s + 1) // 2
+    values, vectors = np.linalg.eigh(spread.covariance)
+    along = np.einsum("pji,ptjk,pki->pti", vectors, G, vectors)
     return _Integrated(
         total_of(fit, tracks, profile),
-        geometry_parameters(fit, tracks) + numbers,
-        fit.joint.parameters + numbers,
         Seen(fit, spread, over_noise),
+        np.einsum("pt,ptij->pij", fit.inlier, G),
+        2 * np.einsum("pt,pti->pi", fit.inlier, (values[:, None] * along) ** 2),
     )
+
+
+def _price(found: _Integrated, lab_m: float, time: FloatArray) -> FloatArray:
+    """(P,) -2 log of the share that the data leave of what was possible before, for frames that repeat errors."""
+    fit = found.seen.fit
+    before = number_deviations(fit.joint, lab_m)
+    numbers = fit.information * np.outer(before, before) / time[:, None, None]
+    mean = found.of_mean * mean_deviation(fit.joint, lab_m) ** 2 / time[:, None, None]
+    spread = np.log1p(found.of_spread * RANGE**2 / (2 * np.pi * time[:, None])).sum(axis=-1)
+    return _log_det_1(numbers) + _log_det_1(mean) + spread + size_price(fit, lab_m)
+
+
+def _log_det_1(S: FloatArray) -> FloatArray:
+    """(P,) log det(1 + S) of symmetric positive semidefinite S (P, n, n)."""
+    return np.log1p(np.maximum(np.linalg.eigvalsh(S), 0.0)).sum(axis=-1) if S.shape[-1] else np.zeros(len(S))
+
+
+def _numbers(joint: JointType) -> int:
+    return joint.parameters + joint.states + joint.states * (joint.states + 1) // 2
 
 
 def _log_det(S: FloatArray) -> FloatArray:

@@ -4,7 +4,10 @@ Trackers' errors are no white noise: they change with the view, so that a rigid 
 looks bent and a hinge seems to advance along its axis. Likelihood takes every such trait for motion once there are
 frames enough. So the evidence of a type that was seen is shared between it and what may be real, by the odds
 
-    density of the trait if errors fake it : density of the trait if the motion is real.
+    density of the trait if errors fake it : density of the trait if the motion is real,
+
+times the odds that the tracker's errors have habits at all. Whoever has them shows them in what is left of the poses:
+the odds are even where an error lasts for two frames or more, and fall to LEAST_HABITS where no error outlasts its own.
 
 Faked traits are half-normal about none; real ones have any size (log-uniform over RANGE), unless a prior is said:
 
@@ -24,15 +27,13 @@ import numpy as np
 
 from station.fit.noise import INLIER_ABOVE
 from station.fit.pairwise import JointFit, PairTracks
+from station.fit.priors import ARM_M, RANGE, arm_m
 from station.fit.state_spread import Spread
 from station.logs import FloatArray
 
 WOBBLE = 0.5
-# Logarithm of the largest over the least size that a real motion may have, in units of the noise.
-RANGE = float(np.log(1e3))
-# Lengths [m]; in a scene of more than a metre, for each metre of it.
-ARM_M = 1.0
-PITCH_M_PER_RAD = 0.05
+LEAST_HABITS = 0.01
+# In a scene of more than a metre, for each metre of it.
 BENT_M = 5.0
 BENT_TURN_RAD = float(np.radians(4.5))
 FAKED_TURN_RAD = float(np.radians(1.0))
@@ -51,20 +52,6 @@ class Seen:
 
 
 Odds = Callable[[Seen, Seen, PairTracks], FloatArray]
-
-
-def arm_m(fit: JointFit) -> FloatArray:
-    """(P,) distance of the child from the joint's axis or centre; 0 for a type that has neither."""
-    p = fit.model.frames.T_axis_child[:, :3, 3]
-    if not fit.joint.has_point:
-        return np.zeros(len(p))
-    return np.linalg.norm(p[:, :2] if fit.joint.has_axis else p, axis=-1)
-
-
-def size_price(fit: JointFit, lab_m: float) -> FloatArray:
-    """(P,) -2 log density, but for a constant, of arms about ARM_M and pitches about PITCH_M_PER_RAD."""
-    arm, pitch = arm_m(fit) / (ARM_M * lab_m), fit.model.frames.form / (PITCH_M_PER_RAD * lab_m)
-    return arm**2 + np.sum(pitch**2, axis=-1)
 
 
 def _half_normal(x: FloatArray, deviation: FloatArray | float) -> FloatArray:
@@ -111,10 +98,13 @@ LOOKALIKES: Mapping[tuple[str, str], Odds] = {
 
 
 def shared(
-    log_evidence: Mapping[str, FloatArray], seen: Mapping[str, Seen], tracks: PairTracks
+    log_evidence: Mapping[str, FloatArray], seen: Mapping[str, Seen], tracks: PairTracks, time: FloatArray
 ) -> dict[str, FloatArray]:
-    """Log evidence (P,) of what is real, from that of what was seen; richer types come first in `seen`."""
-    found = dict(log_evidence)
+    """Log evidence (P,) of what is real, from that of what was seen; richer types come first in `seen`.
+
+    `time` (P,) are the frames that repeat an error of the likeliest type.
+    """
+    found, log_habits = dict(log_evidence), np.log(np.clip(time - 1, LEAST_HABITS, 1.0))
     for name, look in seen.items():
         odds: dict[str, FloatArray] = {}
         if "rigid" in found and name != "rigid":
@@ -122,6 +112,7 @@ def shared(
         for (of, real), log_odds in LOOKALIKES.items():
             if of == name and real in seen:
                 odds[real] = log_odds(look, seen[real], tracks)
+        odds = {real: value + log_habits for real, value in odds.items()}
         whole = np.logaddexp.reduce([np.zeros_like(found[name]), *odds.values()], axis=0)
         for real, value in odds.items():
             found[real] = np.logaddexp(found[real], found[name] + value - whole)
