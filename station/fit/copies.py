@@ -77,7 +77,7 @@ def without_copies(log: PoseLog) -> Copies:
             continue
         both = np.flatnonzero(seen[:, a] & seen[:, b])
         offset = se3.inverse(T[both, a]) @ T[both, b]
-        if _changes(offset) <= _most(T[both, b]):
+        if _repeats(_changes(offset), _changes(T[both, b])):
             repeats[b] = a, offset[0]
     if not repeats:
         return Copies(log, {})
@@ -114,18 +114,18 @@ def _alike(T: FloatArray, seen: BoolArray) -> list[tuple[int, int]]:
     change, moved = np.zeros(len(a)), np.zeros(len(a))
     np.maximum.at(change, pair, _size(before, offset))
     np.maximum.at(moved, pair, _size(T[first, b][pair], T[rows, b[pair]]))
-    found = np.flatnonzero((change <= np.minimum(WITHIN_M, SHARE * moved)) & (both.sum(axis=0) > 1))
+    found = np.flatnonzero(_repeats(change, moved) & (both.sum(axis=0) > 1))
     return [(int(a[i]), int(b[i])) for i in found]
 
 
-def _changes(T: FloatArray) -> float:
+def _changes(T: FloatArray) -> np.float64:
     """How far poses (N, 4, 4) are from the first."""
-    return float(_size(T[:1], T).max(initial=0.0))
+    return np.float64(_size(T[:1], T).max(initial=0.0))
 
 
-def _most(T: FloatArray) -> float:
-    """How much a copy's offset may change if its poses are these (N, 4, 4)."""
-    return min(WITHIN_M, SHARE * _changes(T))
+def _repeats(change: FloatArray | np.float64, moved: FloatArray | np.float64) -> BoolArray | np.bool_:
+    """Whether offsets that change by so much [m] are those of copies whose poses change by so much."""
+    return (change <= WITHIN_M) & (change < SHARE * moved)
 
 
 def _size(one: FloatArray, other: FloatArray) -> FloatArray:

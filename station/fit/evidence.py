@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from station.fit.lookalikes import Seen, shared
 from station.fit.noise import INLIER_ABOVE, time_of_correlation
 from station.fit.pairwise import JointFit, PairTracks
-from station.fit.priors import RANGE, mean_deviation, number_deviations, size_price
+from station.fit.priors import LESSER_TURN_RAD, RANGE, TURN_STD_RAD, mean_deviation, number_deviations, size_price
 from station.fit.state_spread import continuous_states, marginal_information, spread_of, spread_over_noise
 from station.kinematics.joints import JointType
 from station.logs import FloatArray
@@ -79,13 +79,17 @@ class _Integrated:
         total: (P,) -2 log likelihood.
         seen: the fit and the spread.
         of_mean: (P, s, s) information of the states' mean.
-        of_spread: (P, s) information of the logarithms of the spread's deviations, rising.
+        variances: (P, s) of the spread along its principal directions, rising.
+        of_variances: (P, s) information of these.
+        of_turns: (P, s (s - 1) / 2) information of turns of the spread's principal directions into each other.
     """
 
     total: FloatArray
     seen: Seen
     of_mean: FloatArray
-    of_spread: FloatArray
+    variances: FloatArray
+    of_variances: FloatArray
+    of_turns: FloatArray
 
 
 def _integrated(fit: JointFit, tracks: PairTracks) -> _Integrated:
@@ -101,11 +105,15 @@ def _integrated(fit: JointFit, tracks: PairTracks) -> _Integrated:
     over_noise = spread_over_noise(spread, information, fit.inlier) if s else np.zeros(len(q))
     values, vectors = np.linalg.eigh(spread.covariance)
     along = np.einsum("pji,ptjk,pki->pti", vectors, G, vectors)
+    i, j = np.triu_indices(s, k=1)
+    both = np.einsum("pt,pti,pti->pi", fit.inlier, along[..., i], along[..., j])
     return _Integrated(
         total_of(fit, tracks, profile),
         Seen(fit, spread, over_noise),
         np.einsum("pt,ptij->pij", fit.inlier, G),
-        2 * np.einsum("pt,pti->pi", fit.inlier, (values[:, None] * along) ** 2),
+        values,
+        0.5 * np.einsum("pt,pti->pi", fit.inlier, along**2),
+        (values[:, i] - values[:, j]) ** 2 * both,
     )
 
 
@@ -115,8 +123,20 @@ def _price(found: _Integrated, lab_m: float, time: FloatArray) -> FloatArray:
     before = number_deviations(fit.joint, lab_m)
     numbers = fit.information * np.outer(before, before) / time[:, None, None]
     mean = found.of_mean * mean_deviation(fit.joint, lab_m) ** 2 / time[:, None, None]
-    spread = np.log1p(found.of_spread * RANGE**2 / (2 * np.pi * time[:, None])).sum(axis=-1)
-    return _log_det_1(numbers) + _log_det_1(mean) + spread + size_price(fit, lab_m)
+    turns = np.log1p(found.of_turns * TURN_STD_RAD**2 / time[:, None]).sum(axis=-1)
+    of_states = _log_det_1(mean) + _spread_price(found, time) + turns
+    return _log_det_1(numbers) + of_states + size_price(fit, lab_m, time) - 2 * np.log(fit.joint.usual)
+
+
+def _spread_price(found: _Integrated, time: FloatArray) -> FloatArray:
+    """(P,) that of the spread's deviations: of the largest by its logarithm, any size being as likely as any other; of
+    the lesser ones, which a ball has, by their size.
+    """
+    v, of_v = found.variances, found.of_variances / time[:, None]
+    largest = np.log1p(4 * v[:, -1:] ** 2 * of_v[:, -1:] * RANGE**2 / (2 * np.pi)).sum(axis=-1)
+    v, of_v = v[:, :-1], of_v[:, :-1]
+    told = LESSER_TURN_RAD**2 * (4 * v * of_v + np.sqrt(of_v))  # a deviation near none is told by its square
+    return largest + np.sum(np.log1p(told) + v / LESSER_TURN_RAD**2, axis=-1)
 
 
 def _log_det_1(S: FloatArray) -> FloatArray:

@@ -15,7 +15,7 @@ Faked traits are half-normal about none; real ones have any size (log-uniform ov
 - a hinge may be a slide. Straight lines look like circles of BENT_M or more, and the turn is faked up to BENT_TURN_RAD:
   they leave their chord by up to a hundredth of its length. A real hinge is ARM_M or so from what it carries;
 - a screw may be a hinge or a slide if its poses differ from theirs by no more than WOBBLE times the noise;
-- a ball may be a hinge if the second of its turns is FAKED_TURN_RAD or so; a real one's is BALL_TURN_RAD.
+- a ball may be a hinge if the second of its turns is FAKED_TURN_RAD or so; a real one's is LESSER_TURN_RAD.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ import numpy as np
 
 from station.fit.noise import INLIER_ABOVE
 from station.fit.pairwise import JointFit, PairTracks
-from station.fit.priors import ARM_M, RANGE, arm_m
+from station.fit.priors import ARM_M, LESSER_TURN_RAD, RANGE, arm_m
 from station.fit.state_spread import Spread
 from station.logs import FloatArray
 
@@ -37,7 +37,6 @@ LEAST_HABITS = 0.01
 BENT_M = 5.0
 BENT_TURN_RAD = float(np.radians(4.5))
 FAKED_TURN_RAD = float(np.radians(1.0))
-BALL_TURN_RAD = float(np.radians(20.0))
 # Sizes below this [m, or in units of the noise] are none.
 NOTHING = 1e-9
 
@@ -85,7 +84,7 @@ def _difference(seen: Seen, real: Seen, tracks: PairTracks) -> FloatArray:
 
 def _second_turn(ball: Seen, hinge: Seen, tracks: PairTracks) -> FloatArray:
     turn = ball.spread.deviations[:, -2]
-    return _half_normal(turn, FAKED_TURN_RAD) - _half_normal(turn, BALL_TURN_RAD)
+    return _half_normal(turn, FAKED_TURN_RAD) - _half_normal(turn, LESSER_TURN_RAD)
 
 
 # What was seen, what may be real. A new type needs a line only for traits that errors fake beside wobbling.

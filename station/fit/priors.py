@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from station.fit.pairwise import JointFit
+from station.fit.pairwise import JointFit, parameter_covariance
 from station.kinematics.joints import JointType
 from station.logs import FloatArray
 
@@ -15,8 +15,12 @@ from station.logs import FloatArray
 # known. So is the distance of a part from the axis about which it turns: a hinge's arm is a metre or so at most.
 ARM_M, TURN_STD_RAD = 1.0, float(np.pi / np.sqrt(3))
 PITCH_M_PER_RAD = 0.05
+# Of the second and third of a ball's turns, about directions across the largest.
+LESSER_TURN_RAD = float(np.radians(20.0))
 # Logarithm of the largest over the least size that a motion may have, in units of the noise.
 RANGE = float(np.log(1e3))
+# Arms, as shares of what the data say, among which the likeliest is sought; and one that is none [m].
+SHORTER, SHORT_M = np.geomspace(0.02, 1.0, 40), 1e-9
 
 
 def arm_m(fit: JointFit) -> FloatArray:
@@ -39,7 +43,23 @@ def mean_deviation(joint: JointType, lab_m: float) -> float:
     return ARM_M * lab_m if joint.unit == "m" else TURN_STD_RAD
 
 
-def size_price(fit: JointFit, lab_m: float) -> FloatArray:
-    """(P,) -2 log density of the arm and the pitch, against none."""
-    arm, pitch = arm_m(fit) / (ARM_M * lab_m), fit.model.frames.form / (PITCH_M_PER_RAD * lab_m)
-    return arm**2 + np.sum(pitch**2, axis=-1)
+def size_price(fit: JointFit, lab_m: float, time: FloatArray) -> FloatArray:
+    """(P,) -2 log density of the arm and the pitch, against none, for frames that repeat errors `time` (P,) times."""
+    pitch = fit.model.frames.form / (PITCH_M_PER_RAD * lab_m)
+    return _arm_price(fit, ARM_M * lab_m, time) + np.sum(pitch**2, axis=-1)
+
+
+def _arm_price(fit: JointFit, usual_m: float, time: FloatArray) -> FloatArray:
+    """(P,) at the likeliest arm by data and prior together: of an arc that is nearly straight the data tell the
+    curvature alone, and that not well, so that an arm of 5 m may as well be one of 2 m.
+    """
+    arm, joint = np.maximum(arm_m(fit), SHORT_M), fit.joint
+    if not joint.has_point:
+        return np.zeros(len(arm))
+    first = len(joint.axis_freedoms)
+    columns = [first + i for i, freedom in enumerate(joint.child_freedoms) if freedom < (2 if joint.has_axis else 3)]
+    along = fit.model.frames.T_axis_child[:, : len(columns), 3] / arm[:, None]
+    covariance = parameter_covariance(fit.information)[:, columns][:, :, columns]
+    variance = time * np.einsum("pi,pij,pj->p", along, covariance, along)
+    off = (1 / SHORTER - 1) ** 2 * (arm**2)[:, None] / np.maximum(variance, SHORT_M**2)[:, None]
+    return np.min(off + (SHORTER * arm[:, None] / usual_m) ** 2, axis=-1)

@@ -115,6 +115,7 @@ class JointType(ABC):
         axis_freedoms: entries of a right perturbation of T_parent_axis that a fit moves.
         child_freedoms: entries of a left perturbation of T_axis_child that a fit moves.
         form_freedoms: how many numbers m its `form` has.
+        usual: how often one meets it, as against a hinge.
     """
 
     name: ClassVar[str]
@@ -129,6 +130,7 @@ class JointType(ABC):
     axis_freedoms: ClassVar[tuple[int, ...]]
     child_freedoms: ClassVar[tuple[int, ...]]
     form_freedoms: ClassVar[int] = 0
+    usual: ClassVar[float] = 1.0
 
     @property
     def state_shape(self) -> tuple[int, ...]:

@@ -62,6 +62,7 @@ class Screw(JointType):
     axis_freedoms = (0, 1, 3, 4)
     child_freedoms = (0, 1, 2, 3, 4)
     form_freedoms = 1
+    usual = 0.1
 
     def axis_motion(self, q: FloatArray, form: FloatArray) -> FloatArray:
         """(..., 4, 4) rotation about z by q (..., 1) radians, and translation along z by form (..., 1) times q."""

@@ -44,6 +44,7 @@ class Spherical(JointType):
     has_point = True
     axis_freedoms = (0, 1, 2)
     child_freedoms = (0, 1, 2)
+    usual = 0.1
 
     def axis_motion(self, q: FloatArray, form: FloatArray) -> FloatArray:
         """(..., 4, 4) rotation by the vector q (..., 3)."""
