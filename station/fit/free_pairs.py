@@ -58,7 +58,7 @@ def log_odds_of_free(best: JointFit, still: JointFit | None, tracks: PairTracks,
         repeats: (P,) frames that repeat an error of the likeliest type.
     """
     good = (best.inlier > INLIER_ABOVE) & tracks.seen
-    kappa = _slow_errors(best, tracks, good)
+    kappa = _slow_errors(best, tracks, good).max(axis=0)
     if still is not None:
         kappa = np.minimum(kappa, _share_left(best, still, tracks, good) / SHARE)
     numbers = np.maximum(np.sum(tracks.dimensions * good, axis=-1) / repeats, 6.0)
@@ -77,8 +77,15 @@ def _turns(fit: JointFit, good: BoolArray) -> FloatArray:
     return np.sqrt(np.sum(good * square, axis=-1) / (3 * np.maximum(good.sum(axis=-1), 1)))
 
 
+def stays_in_place(fit: JointFit, tracks: PairTracks) -> BoolArray:
+    """(P,) whether a type leaves no motion of most frames' positions, whatever it leaves of the orientations."""
+    good = (fit.inlier > INLIER_ABOVE) & tracks.seen
+    most: BoolArray = good.sum(axis=-1) >= MOST * tracks.seen.sum(axis=-1)
+    return most & (_slow_errors(fit, tracks, good)[0] < 1)
+
+
 def _slow_errors(fit: JointFit, tracks: PairTracks, good: BoolArray) -> FloatArray:
-    """(P,) variance of errors that last, over that which slow errors may have: the larger of position, orientation."""
+    """(2, P) variance of errors of position and orientation that last, over that which slow errors may have."""
     data = tracks.data
     noisy = tracks.noise.noisy if tracks.noise.noisy is not None else _noisy(tracks)
     slow = UnknownNoise(data.t, noisy, tracks.seen, tracks.oriented, np.zeros(2))
@@ -89,7 +96,7 @@ def _slow_errors(fit: JointFit, tracks: PairTracks, good: BoolArray) -> FloatArr
         _lasting(u[..., :3], good), _lasting(u[..., 3:], good & tracks.oriented), strict=True
     )
     sure = np.sum(of_all, axis=0) > SURE * np.sqrt(np.sum(np.square(deviations), axis=0))
-    return np.where(sure, np.maximum(*lasting), 0.0)
+    return np.where(sure, np.stack(lasting), 0.0)
 
 
 def _lasting(u: FloatArray, good: BoolArray) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from station.fit.criteria import CRITERIA, Compared, check_criterion
 from station.fit.evidence import correlation_time
-from station.fit.free_pairs import log_odds_of_free
+from station.fit.free_pairs import log_odds_of_free, stays_in_place
 from station.fit.pairwise import JointFit, PairTracks
 from station.fit.state_spread import continuous_states
 from station.logs import FloatArray
@@ -86,19 +86,45 @@ def score_fits(fits: Mapping[str, JointFit], tracks: PairTracks, criterion: str,
     check_criterion(criterion)
     compared = Compared(fits, tracks)
     criteria = {name: score(compared) for name, score in CRITERIA.items()}
-    scores, evidence = criteria[criterion], compared.evidence
-    table = np.stack([scores[name] for name in fits])
+    evidence, names = compared.evidence, list(fits)
+    table = np.stack([criteria[criterion][name] for name in names])
+    odds = None
+    if free or (free is None and "rigid" in fits):
+        odds = _free(fits, tracks, np.argmin(table, axis=0), evidence.time)
+        table, odds = _explained(fits, tracks, table, odds, evidence.time)
+    scores = dict(zip(names, table, strict=True))
+    criteria[criterion] = scores
     best = np.argmin(table, axis=0)
     surely = evidence.surely_rigid
     if criterion != "evidence":
         surely = np.equal(scores["rigid"], table.min(axis=0)) if "rigid" in scores else np.zeros(len(best), dtype=bool)
     in_full = evidence.in_full if criterion == "evidence" else scores
-    joined = np.stack([in_full[name] for name in fits])[best, np.arange(len(best))]
-    odds, weight = None, joined
-    if free or (free is None and "rigid" in fits):
-        odds = _free(fits, tracks, best, evidence.time)
-        weight = np.where(odds > 0, np.inf, joined)
+    joined = np.stack([in_full[name] for name in names])[best, np.arange(len(best))]
+    weight = joined if odds is None else np.where(odds > 0, np.inf, joined)
     return Scores(criterion, scores, weight, surely, criteria, odds, joined)
+
+
+def _explained(
+    fits: Mapping[str, JointFit], tracks: PairTracks, table: FloatArray, odds: FloatArray, time: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Scores (types, P) and odds (P,) with types that leave turns unexplained put behind those that don't.
+
+    A part in the middle of a ball joint turns and stays where it is: positions tell of no joint, and as noise of the
+    orientations any turns are as likely. Where no type explains them the pair is free, and all stays as it is.
+    """
+    likeliest = np.argmin(table, axis=0)
+    rows = np.flatnonzero(odds > 0)
+    if not rows.size:
+        return table, odds
+    some, taken = tracks.take(rows), [fit.take(rows) for fit in fits.values()]
+    in_place = np.stack([stays_in_place(fit, some) for fit in taken])[likeliest[rows], np.arange(len(rows))]
+    still = taken[list(fits).index("rigid")] if "rigid" in fits else None
+    left = np.stack([log_odds_of_free(fit, still, some, time[rows]) for fit in taken])
+    explained = in_place & (left.min(axis=0) < 0)
+    table, odds = table.copy(), odds.copy()
+    table[:, rows] += 2 * explained * np.maximum(left, 0.0)
+    odds[rows] = np.where(explained, left[np.argmin(table[:, rows], axis=0), np.arange(len(rows))], odds[rows])
+    return table, odds
 
 
 def _free(fits: Mapping[str, JointFit], tracks: PairTracks, best: NDArray[np.intp], time: FloatArray) -> FloatArray:
