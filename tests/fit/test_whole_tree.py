@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
+from station.fit.learner import learn
+from station.fit.options import FitOptions
 from station.fit.skeleton import Skeleton, TreeJoint, TreeModel, with_moved_states, with_parameters
 from station.fit.tree_elimination import eliminated
 from station.fit.tree_equations import equations
@@ -17,6 +19,9 @@ from station.fit.whole_tree import refine_tree
 from station.kinematics import se3
 from station.kinematics.joints import JOINT_TYPES, JointFrames
 from station.logs import FloatArray
+from tests.benchmarks.bounds import bound, median_norm
+from tests.benchmarks.made_joints import single_joint, watch
+from tests.benchmarks.read_fits import axis_error_rad
 
 FRAMES, STEP = 4, 1e-6
 CERTAIN = 1e3  # log odds that make every pose an inlier
@@ -134,3 +139,21 @@ def test_estimates_are_those_of_an_independent_optimiser(kind: str) -> None:
     np.testing.assert_allclose(off, 0.0, atol=2e-3)  # m, rad; poses are off by 1e-2
     reached = whitened(skeleton, fit.model, measured, np.ones((frames, 3)), np.zeros(n), np.zeros((frames, s)))
     assert np.sum(reached**2) < 2 * best.cost + 0.1  # 1 would be a standard deviation
+
+
+@pytest.mark.parametrize(("kind", "travel"), [("prismatic", 0.2), ("revolute", 0.8)])
+def test_parts_that_jump_from_frame_to_frame_have_the_noise_of_their_residuals(kind: str, travel: float) -> None:
+    """Their changes are motion, not noise. 30 mm and 3 deg: the median axis errs by less than twice the bound, as the
+    median of twelve may.
+    """
+    errors: list[tuple[float, float]] = []
+    for seed in range(12):
+        rng = np.random.default_rng([42, seed])
+        made = single_joint(rng, kind, frames=60, travel=travel, arm_m=0.65, parent_tracked=True)
+        watched = watch(rng, made.T_ref_part, 0.03, np.radians(3.0))
+        (joint,) = learn(watched.log, FitOptions(joint_types=(kind,), root="p0")).tree.joints
+        assert joint.axis_parent is not None
+        least = bound(made, watched.noise, 0.03, np.radians(3.0))
+        errors.append((axis_error_rad(joint.axis_parent, made.joints[0].axis), median_norm(least.axis(0))))
+    found, best = np.median(errors, axis=0)
+    assert found < 2 * best
