@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +24,6 @@ from station.logs import FloatArray
 
 BoolArray = NDArray[np.bool_]
 IntArray = NDArray[np.intp]
-Values = TypeVar("Values", FloatArray, BoolArray)
 
 # Common frames that a pair needs: below, the 11 numbers of a revolute joint and its states fit whatever noise there is.
 MIN_FRAMES = 10
@@ -171,18 +169,22 @@ def _any_end(of_bodies: BoolArray, pairs: IntArray) -> BoolArray:
 
 
 def _edge_weights(table: PairTable, barred: BoolArray) -> FloatArray:
-    return np.where(table.enough & (table.rigid | ~barred), table.scores.weight, np.inf)
+    weights = np.where(table.enough & (table.rigid | ~barred), table.scores.weight, np.inf)
+    return _in_order(table, weights, np.zeros(len(weights)))
 
 
-def _joined_weight(scores: Scores) -> FloatArray:
-    """(P,) weights as if no pair were free: a first look doesn't tell that for sure."""
-    return scores.weight if scores.joined_weight is None else scores.joined_weight
+def _in_order(table: PairTable, weights: FloatArray, less: FloatArray) -> FloatArray:
+    """(P,) weights less so much, where they are still below 0, as misfits: all below 0, and in the order of these."""
+    misfit = table.scores.misfit
+    looked_at = np.isfinite(misfit)
+    most = np.max(misfit, where=looked_at, initial=0.0) + 1.0
+    return np.where(looked_at & (weights < less), misfit - less - most, np.inf)
 
 
 def _undecided(table: PairTable, barred: BoolArray, count: int) -> BoolArray:
     """(P,) pairs that were not fitted with care and may be edges."""
     margin = SCREEN_MARGIN * table.counted
-    least = np.where(table.enough, _joined_weight(table.scores) - margin, np.inf)
+    least = _in_order(table, np.where(table.enough, table.scores.joined_weight, np.inf), margin)
     if "rigid" in table.scores.by_type:
         likeliest = np.min(np.stack(list(table.scores.by_type.values())), axis=0)
         least = np.where(barred & (table.scores.by_type["rigid"] > likeliest + margin), np.inf, least)
@@ -192,13 +194,13 @@ def _undecided(table: PairTable, barred: BoolArray, count: int) -> BoolArray:
 def _nothing_known(bodies: Bodies, pairs: IntArray, joint_types: Sequence[str], criterion: str) -> PairTable:
     P = len(pairs)
     common = np.sum(bodies.oriented[:, pairs[:, 0]] & bodies.seen[:, pairs[:, 1]], axis=0)
-    no, never = np.zeros(P, dtype=bool), np.full(P, np.inf)
+    no = np.zeros(P, dtype=bool)
     return PairTable(
         pairs=pairs,
         enough=common >= MIN_FRAMES,
         counted=np.minimum(common, max(FULL_SHARE * len(bodies.seen), 1.0)),
         careful=no,
-        scores=Scores(criterion, dict.fromkeys(joint_types, never), never, no, joined_weight=never),
+        scores=Scores.unknown(criterion, joint_types, P),
         scales=np.ones((P, 2 if bodies.covariance is None else 1)),
         still=no,
         moved=no,
@@ -215,23 +217,16 @@ def _looked_at(
     frames = len(bodies.seen) if effort.frames is None else min(len(bodies.seen), effort.frames)
     pieces = _pieces(len(rows), frames)
     looks = each(lambda piece: _look(bodies, table, rows[piece], joint_types, effort), pieces)
-    scores = [scores for scores, _, _ in looks]
 
-    def with_found(before: Values, found: Sequence[Values]) -> Values:
+    def with_found(before: FloatArray, found: Sequence[FloatArray]) -> FloatArray:
         after = before.copy()
         after[rows] = np.concatenate(found)
         return after
 
-    by_type = {
-        name: with_found(table.scores.by_type[name], [s.by_type[name] for s in scores]) for name in scores[0].by_type
-    }
-    weight = with_found(table.scores.weight, [s.weight for s in scores])
-    joined = with_found(_joined_weight(table.scores), [_joined_weight(s) for s in scores])
-    surely = with_found(table.scores.surely_rigid, [s.surely_rigid for s in scores])
     found = replace(
         table,
         careful=table.careful | (todo & (effort is not SCREENING)),
-        scores=Scores(table.scores.criterion, by_type, weight, surely, joined_weight=joined),
+        scores=table.scores.with_rows(rows, [scores for scores, _, _ in looks]),
         scales=with_found(table.scales, [scales for _, scales, _ in looks]),
         T_a_b=with_found(table.T_a_b, [T_a_b for _, _, T_a_b in looks]),
     )
@@ -248,8 +243,7 @@ def _look(
     best = np.argmin(np.stack([scores.by_type[name] for name in fits]), axis=0)
     T_a_b = np.stack([f.model.frames.T_parent_axis @ f.model.frames.T_axis_child for f in fits.values()])
     scales = np.stack([fit.model.scales for fit in fits.values()])
-    share = table.counted[rows] / tracks.seen.sum(axis=-1)
-    scores = replace(scores, weight=scores.weight * share, joined_weight=_joined_weight(scores) * share)
+    scores = scores.counted_for(table.counted[rows] / tracks.seen.sum(axis=-1))
     return scores, scales[best, np.arange(len(rows))], T_a_b[best, np.arange(len(rows))]
 
 
@@ -262,7 +256,7 @@ def _rigid(table: PairTable, bodies: Bodies) -> BoolArray:
         return np.zeros(len(table.pairs), dtype=bool)
     usual = np.full((len(bodies.names), table.scales.shape[-1]), np.inf)
     known = np.flatnonzero(table.careful if table.careful.any() else table.enough)
-    worst_first = known[np.argsort(-(_joined_weight(table.scores)[known] / table.counted[known]), kind="stable")]
+    worst_first = known[np.argsort(-(table.scores.joined_weight[known] / table.counted[known]), kind="stable")]
     usual[table.pairs[worst_first]] = table.scales[worst_first][:, None]  # of several the last one stays
     usual[~bodies.noisy] = 0.0
     likeliest = np.min(np.stack(list(table.scores.by_type.values())), axis=0)

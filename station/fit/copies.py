@@ -70,23 +70,23 @@ class Copies:
 
 def without_copies(log: PoseLog) -> Copies:
     """The log with parts that repeat an earlier one taken out."""
-    seen, T = np.array(log.seen), log.T_ref_part
+    seen, T_ref_part = np.array(log.seen), log.T_ref_part
     repeats: dict[int, tuple[int, FloatArray]] = {}
-    for a, b in _alike(T, seen):  # few but for exact poses
+    for a, b in _alike(T_ref_part, seen):  # few but for exact poses
         if b in repeats or a in repeats:
             continue
         both = np.flatnonzero(seen[:, a] & seen[:, b])
-        offset = se3.inverse(T[both, a]) @ T[both, b]
-        if _repeats(_changes(offset), _changes(T[both, b])):
+        offset = se3.inverse(T_ref_part[both, a]) @ T_ref_part[both, b]
+        if _repeats(_changes(offset), _changes(T_ref_part[both, b])):
             repeats[b] = a, offset[0]
     if not repeats:
         return Copies(log, {})
     kept = [k for k in range(len(log.parts)) if k not in repeats]
-    poses = T.copy()
+    poses = T_ref_part.copy()
     covariance = None if log.covariance is None else log.covariance.copy()
     for b, (a, T_a_b) in repeats.items():
         rows = np.flatnonzero(seen[:, b] & np.isnan(poses[:, a, 0, 0]))
-        poses[rows, a] = T[rows, b] @ se3.inverse(T_a_b)
+        poses[rows, a] = T_ref_part[rows, b] @ se3.inverse(T_a_b)
         if covariance is not None:
             covariance[rows, a] = _moved(covariance[rows, b], se3.adjoint(T_a_b))
     rest = PoseLog(
@@ -99,10 +99,10 @@ def without_copies(log: PoseLog) -> Copies:
     return Copies(rest, {log.parts[b]: log.parts[a] for b, (a, _) in repeats.items()})
 
 
-def _alike(T: FloatArray, seen: BoolArray) -> list[tuple[int, int]]:
+def _alike(T_ref_part: FloatArray, seen: BoolArray) -> list[tuple[int, int]]:
     """Pairs of parts whose offset doesn't change in a few frames, in order."""
-    rows = np.unique(np.linspace(0, len(T) - 1, min(SAMPLE, len(T))).round().astype(np.intp)) if len(T) else []
-    T, seen = T[rows], seen[rows]
+    sample = np.linspace(0, len(seen) - 1, min(SAMPLE, len(seen))).round().astype(np.intp)
+    T, seen = T_ref_part[sample], seen[sample]
     a, b = np.triu_indices(T.shape[1], k=1)
     both = seen[:, a] & seen[:, b]
     rows, pair = np.nonzero(both)

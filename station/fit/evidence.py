@@ -40,13 +40,17 @@ class Evidence:
 
     Attributes:
         scores: (P,) -2 log evidence of each type, lower is better.
-        in_full: (P,) the same with every frame counted in full, comparable between pairs.
+        in_full: (P,) the same with every frame counted in full.
+        misfit: (P,) by how much that is worse than a joint of the same motion would do with the noise that its parts
+            are known to have: comparable between pairs, of which one may have an exact parent. Where the noise is not
+            known, the score in full itself.
         surely_rigid: (P,) rigid is the likeliest type even if no error wobbles.
         time: (P,) frames that repeat an error.
     """
 
     scores: Mapping[str, FloatArray]
     in_full: Mapping[str, FloatArray]
+    misfit: Mapping[str, FloatArray]
     surely_rigid: BoolArray
     time: FloatArray
 
@@ -67,8 +71,23 @@ def evidence(fits: Mapping[str, JointFit], tracks: PairTracks) -> Evidence:
     surely = np.zeros(len(time), dtype=bool)
     if "rigid" in plain:
         surely = plain["rigid"] <= np.min(np.stack(list(plain.values())), axis=0)
-    full = {name: each.total + price[name] for name, each in found.items()}
-    return Evidence(with_lookalikes(plain), with_lookalikes(full), surely, time)
+    full = with_lookalikes({name: each.total + price[name] for name, each in found.items()})
+    return Evidence(with_lookalikes(plain), full, _misfit(full, found, tracks), surely, time)
+
+
+def _misfit(
+    full: Mapping[str, FloatArray], found: Mapping[str, _Integrated], tracks: PairTracks
+) -> Mapping[str, FloatArray]:
+    if tracks.noise.noisy is not None:
+        return full
+    _, log_density = tracks.noise.whitener(np.ones((len(tracks.seen), 1)), tracks.seen, tracks.oriented)
+    log_density = log_density - tracks.log_outlier_density
+    misfit: dict[str, FloatArray] = {}
+    for name, each in found.items():
+        fit = each.seen.fit
+        of_frame = log_density - 0.5 * np.maximum(tracks.dimensions - fit.joint.states, 0.0)
+        misfit[name] = full[name] + 2 * np.sum(fit.inlier * of_frame, axis=-1) - each.by_motion
+    return misfit
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,6 +96,7 @@ class _Integrated:
 
     Attributes:
         total: (P,) -2 log likelihood.
+        by_motion: (P,) what of it is for the states' spread beyond their noise.
         seen: the fit and the spread.
         of_mean: (P, s, s) information of the states' mean.
         variances: (P, s) of the spread along its principal directions, rising.
@@ -85,6 +105,7 @@ class _Integrated:
     """
 
     total: FloatArray
+    by_motion: FloatArray
     seen: Seen
     of_mean: FloatArray
     variances: FloatArray
@@ -97,18 +118,19 @@ def _integrated(fit: JointFit, tracks: PairTracks) -> _Integrated:
     s = fit.joint.states
     q, information = continuous_states(fit), fit.state_information
     spread = spread_of(q, information, fit.inlier)
-    G = marginal_information(spread.covariance, information)
+    G, by_motion = marginal_information(spread.covariance, information), np.zeros_like(profile)
     if s:
         d = q - spread.mean[:, None]
-        chi2 = np.einsum("pti,ptij,ptj->pt", d, G, d)
-        profile = profile - 0.5 * _log_det(np.eye(s) + information @ spread.covariance[:, None]) - 0.5 * chi2
+        by_motion = _log_det(np.eye(s) + information @ spread.covariance[:, None])
+        profile = profile - 0.5 * by_motion - 0.5 * np.einsum("pti,ptij,ptj->pt", d, G, d)
     over_noise = spread_over_noise(spread, information, fit.inlier) if s else np.zeros(len(q))
     values, vectors = np.linalg.eigh(spread.covariance)
-    along = np.einsum("pji,ptjk,pki->pti", vectors, G, vectors)
+    along = np.maximum(np.einsum("pji,ptjk,pki->pti", vectors, G, vectors), 0.0)
     i, j = np.triu_indices(s, k=1)
     both = np.einsum("pt,pti,pti->pi", fit.inlier, along[..., i], along[..., j])
     return _Integrated(
         total_of(fit, tracks, profile),
+        np.sum(fit.inlier * by_motion, axis=-1),
         Seen(fit, spread, over_noise),
         np.einsum("pt,ptij->pij", fit.inlier, G),
         values,

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,21 +39,54 @@ class Scores:
     Attributes:
         criterion: how they were made.
         by_type: comparable within a pair; frames count by how many of them are independent there.
-        weight: (P,) score of the likeliest type with every frame counted in full, comparable between pairs; infinite
-            for a pair that is free.
+        joined_weight: (P,) score of the likeliest type with every frame counted in full.
+        misfit: (P,) by how much the likeliest type fits worse than it should, comparable between pairs; where that is
+            not known, the joined weight.
         surely_rigid: (P,) rigid is the likeliest type even if no error wobbles.
+        free: (P,) log odds that a pair is free; -inf if that was not asked.
         criteria: scores of every criterion, that of `by_type` among them.
-        free: (P,) log odds that a pair is free; None if that was not asked.
-        joined_weight: (P,) the weight as if no pair were free.
     """
 
     criterion: str
     by_type: Mapping[str, FloatArray]
-    weight: FloatArray
+    joined_weight: FloatArray
+    misfit: FloatArray
     surely_rigid: BoolArray
+    free: FloatArray
     criteria: Mapping[str, Mapping[str, FloatArray]] = field(default_factory=dict[str, Mapping[str, FloatArray]])
-    free: FloatArray | None = None
-    joined_weight: FloatArray | None = None
+
+    @property
+    def weight(self) -> FloatArray:
+        """(P,) the joined weight; infinite for a pair that is free."""
+        return np.where(self.free > 0, np.inf, self.joined_weight)
+
+    @staticmethod
+    def unknown(criterion: str, joint_types: Sequence[str], pairs: int) -> Scores:
+        """Of pairs of which nothing is known."""
+        never = np.full(pairs, np.inf)
+        by_type = dict.fromkeys(joint_types, never)
+        return Scores(criterion, by_type, never, never, np.zeros(pairs, dtype=bool), -never)
+
+    def counted_for(self, share: FloatArray) -> Scores:
+        """With frames that count `share` (P,) times as much between pairs."""
+        return replace(self, joined_weight=self.joined_weight * share, misfit=self.misfit * share)
+
+    def with_rows(self, rows: NDArray[np.intp], some: Sequence[Scores]) -> Scores:
+        """With the scores by this criterion of some of the pairs, told in pieces."""
+
+        def changed(before: NDArray[Any], of: Callable[[Scores], NDArray[Any]]) -> NDArray[Any]:
+            after = before.copy()
+            after[rows] = np.concatenate([of(piece) for piece in some])
+            return after
+
+        return Scores(
+            self.criterion,
+            {name: changed(each, lambda s, name=name: s.by_type[name]) for name, each in self.by_type.items()},
+            changed(self.joined_weight, lambda s: s.joined_weight),
+            changed(self.misfit, lambda s: s.misfit),
+            changed(self.surely_rigid, lambda s: s.surely_rigid),
+            changed(self.free, lambda s: s.free),
+        )
 
     def best_type(self, pair: int) -> str:
         """Name of the likeliest type of one pair."""
@@ -61,7 +95,7 @@ class Scores:
     def told(self, pair: int, criterion: str, *, free: bool) -> dict[str, float]:
         """Scores of one pair by a criterion; if `free` is a candidate, its own too."""
         scores = {name: float(score[pair]) for name, score in self.criteria.get(criterion, self.by_type).items()}
-        if free and self.free is not None:
+        if free and np.isfinite(self.free[pair]):
             joined = np.logaddexp.reduce([-0.5 * score for score in scores.values()])
             scores[FREE] = float(-2 * (joined + self.free[pair]))
         return scores
@@ -88,7 +122,7 @@ def score_fits(fits: Mapping[str, JointFit], tracks: PairTracks, criterion: str,
     criteria = {name: score(compared) for name, score in CRITERIA.items()}
     evidence, names = compared.evidence, list(fits)
     table = np.stack([criteria[criterion][name] for name in names])
-    odds = None
+    odds = np.full(table.shape[1], -np.inf)
     if free or (free is None and "rigid" in fits):
         odds = _free(fits, tracks, np.argmin(table, axis=0), evidence.time)
         table, odds = _explained(fits, tracks, table, odds, evidence.time)
@@ -99,9 +133,14 @@ def score_fits(fits: Mapping[str, JointFit], tracks: PairTracks, criterion: str,
     if criterion != "evidence":
         surely = np.equal(scores["rigid"], table.min(axis=0)) if "rigid" in scores else np.zeros(len(best), dtype=bool)
     in_full = evidence.in_full if criterion == "evidence" else scores
-    joined = np.stack([in_full[name] for name in names])[best, np.arange(len(best))]
-    weight = joined if odds is None else np.where(odds > 0, np.inf, joined)
-    return Scores(criterion, scores, weight, surely, criteria, odds, joined)
+    joined = _of_best(in_full, names, best)
+    misfit = _of_best(evidence.misfit, names, best) if criterion == "evidence" else joined
+    return Scores(criterion, scores, joined, misfit, surely, odds, criteria)
+
+
+def _of_best(by_type: Mapping[str, FloatArray], names: Sequence[str], best: NDArray[np.intp]) -> FloatArray:
+    """(P,) values of each pair's likeliest type."""
+    return np.stack([by_type[name] for name in names])[best, np.arange(len(best))]
 
 
 def _explained(

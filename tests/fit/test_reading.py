@@ -116,7 +116,8 @@ def test_std_of_a_joint_counts_the_directions_that_it_has() -> None:
 
 
 def joint_of(reading: JointReading) -> Joint:
-    scores = Scores("evidence", {reading.type.name: np.zeros(1)}, np.zeros(1), np.zeros(1, dtype=bool))
+    none = np.zeros(1)
+    scores = Scores("evidence", {reading.type.name: none}, none, none, none > 0, none)
     return reading.joint("a", "b", scores, 0)
 
 
