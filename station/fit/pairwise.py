@@ -9,7 +9,7 @@ pairs and frames.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -114,6 +114,9 @@ class _Work:
             begun[name] = self._retried(joint, begun[name], many, self._from_samples)
             if joint.states:
                 begun[name] = self._retried(joint, begun[name], some, self._from_the_rest)
+            for simpler in joint.includes:
+                if simpler in begun:
+                    begun[name] = self._from_included(joint, begun[name], begun[simpler])
         best = np.min(np.stack([progress.cost for progress in begun.values()]), axis=0)
         return {name: self._finished(joints[name], progress, best) for name, progress in begun.items()}
 
@@ -162,6 +165,17 @@ class _Work:
         outlier = tracks.seen - inlier
         ratio = inlier.sum(axis=-1) / np.maximum(outlier.sum(axis=-1), 1.0)
         return start_models(joint, tracks, by_pose=self.by_pose, weights=inlier + outlier * ratio[:, None])
+
+    def _from_included(self, joint: JointType, begun: Progress, simpler: Progress) -> Progress:
+        """With what pairs come to from a type that this one includes, where that fits better: it never should."""
+        rows = np.flatnonzero(simpler.cost < begun.cost)
+
+        def start(joint: JointType, tracks: PairTracks, begun: Progress) -> Model:
+            model = simpler.model.take(rows)
+            form = np.zeros((len(rows), joint.form_freedoms))
+            return replace(model, frames=replace(model.frames, form=form))
+
+        return self._retried(joint, begun, rows, start)
 
     def _finished(self, joint: JointType, progress: Progress, best: FloatArray) -> JointFit:
         limit = np.maximum(self.tolerance, BEHIND_TOLERANCE * (progress.cost - best))

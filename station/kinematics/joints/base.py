@@ -116,6 +116,7 @@ class JointType(ABC):
         child_freedoms: entries of a left perturbation of T_axis_child that a fit moves.
         form_freedoms: how many numbers m its `form` has.
         usual: how often one meets it, as against a hinge.
+        includes: types with the same frames and states that it is where its form is zero.
     """
 
     name: ClassVar[str]
@@ -131,6 +132,7 @@ class JointType(ABC):
     child_freedoms: ClassVar[tuple[int, ...]]
     form_freedoms: ClassVar[int] = 0
     usual: ClassVar[float] = 1.0
+    includes: ClassVar[tuple[str, ...]] = ()
 
     @property
     def state_shape(self) -> tuple[int, ...]:
