@@ -245,7 +245,7 @@ def _named_by_commands(found: Fit, recording: Recording) -> Fit:
     )
     states = replace(
         found.states,
-        joints=tuple(names.get(name, name) for name in found.states.joints),
+        joints=tuple(column for joint in joints for column in joint.columns),
         q=found.states.q * np.array([signs.get(name, 1) for name in found.states.joints]),
     )
     return replace(found, tree=replace(found.tree, joints=joints), states=states)

@@ -27,6 +27,7 @@ from station.fit.comparison import MIN_FRAMES, PairTable, compare_pairs, edge_we
 from station.fit.copies import without_copies
 from station.fit.fusion import fused_bodies, refined_mounts
 from station.fit.options import FitOptions, check_options
+from station.fit.parallel import products_in_one_thread
 from station.fit.reading import JointReading
 from station.fit.remarks import remarks
 from station.fit.result import Fit
@@ -56,7 +57,8 @@ def learn(log: PoseLog, options: FitOptions | None = None) -> Fit:
         return learn_paper(log, options)
     copies = without_copies(log)
     options = replace(options, root=copies.original(options.root))
-    return copies.added(_learned(copies.log, options, include), log.parts)
+    with products_in_one_thread():
+        return copies.added(_learned(copies.log, options, include), log.parts)
 
 
 def _learned(log: PoseLog, options: FitOptions, include: bool) -> Fit:

@@ -5,7 +5,10 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import AbstractContextManager
 from typing import TypeVar
+
+from threadpoolctl import threadpool_limits  # pyright: ignore[reportMissingTypeStubs]
 
 Work = TypeVar("Work")
 Result = TypeVar("Result")
@@ -24,3 +27,12 @@ def each(function: Callable[[Work], Result], work: Sequence[Work]) -> list[Resul
         return [function(piece) for piece in work]
     with ThreadPoolExecutor(workers) as pool:
         return list(pool.map(function, work))
+
+
+def products_in_one_thread() -> AbstractContextManager[object]:
+    """While it is entered, each product of matrices is computed in the thread that asks for it.
+
+    Were the pieces that `each` shares out shared out again, threads would wait for each other most of the time; and sums
+    would be made in another order on another computer.
+    """
+    return threadpool_limits(1, user_api="blas")

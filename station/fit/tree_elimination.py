@@ -17,7 +17,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from station.fit.skeleton import Skeleton
-from station.fit.tall_products import gram, product
 from station.fit.tree_equations import Equations
 from station.logs import FloatArray
 
@@ -99,7 +98,7 @@ class FrameStates:
         found = np.zeros((*self.told.shape, M.shape[-1]))
         for rows, columns, Z in zip(self.rows, self.columns, self.Z, strict=True):
             flat = np.ascontiguousarray(Z[..., :-1]).reshape(-1, len(columns))
-            found[:, rows] = product(flat, M[columns]).reshape(len(Z), -1, M.shape[-1])
+            found[:, rows] = (flat @ M[columns]).reshape(len(Z), -1, M.shape[-1])
         return np.swapaxes(self.root, -1, -2) @ found
 
 
@@ -118,7 +117,8 @@ def eliminated(skeleton: Skeleton, found: Equations, damping: float) -> tuple[Re
     blocks: list[FloatArray] = []
     for some, at in zip(rows, columns, strict=True):
         block = np.concatenate([dense[:, some, at], of_gradient[:, some]], axis=-1)
-        taken = gram(block.reshape(-1, len(at) + 1))
+        flat = block.reshape(-1, len(at) + 1)
+        taken = flat.T @ flat
         H[at[:, None], at] -= taken[:-1, :-1]
         g[at] -= taken[:-1, -1]
         promise += 0.5 * float(taken[-1, -1])

@@ -16,7 +16,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from station.fit.skeleton import Skeleton, TreeModel
-from station.fit.tall_products import transposed_product
 from station.fit.tree_motion import TreePoses, Twists, joint_twists, mount_twists, root_twists, tree_poses
 from station.fit.tree_residuals import Measured, part_jacobians, tree_residuals
 from station.logs import FloatArray
@@ -109,7 +108,7 @@ def _add(found: Equations, all_of_it: Twists, own: Twists, information: FloatArr
     S_t = np.ascontiguousarray(np.swapaxes(S, -1, -2))
     if own.parameters.size:
         moved = information @ own.by_parameters
-        block = transposed_product(P.reshape(-1, len(p)), moved.reshape(-1, len(own.parameters)))
+        block = P.reshape(-1, len(p)).T @ moved.reshape(-1, len(own.parameters))
         found.H_pp[p[:, None], own.parameters], found.H_pp[own.parameters[:, None], p] = block, block.T
         found.H_sp[:, s[:, None], own.parameters] = S_t @ moved
         found.g_p[own.parameters] = np.einsum("tij,ti->j", own.by_parameters, pull)
