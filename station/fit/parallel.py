@@ -32,7 +32,7 @@ def each(function: Callable[[Work], Result], work: Sequence[Work]) -> list[Resul
 def products_in_one_thread() -> AbstractContextManager[object]:
     """While it is entered, each product of matrices is computed in the thread that asks for it.
 
-    Were the pieces that `each` shares out shared out again, threads would wait for each other most of the time; and sums
-    would be made in another order on another computer.
+    Were the pieces that `each` shares out shared out again, threads would wait for each other most of the time; and
+    sums would be made in another order on another computer.
     """
     return threadpool_limits(1, user_api="blas")
