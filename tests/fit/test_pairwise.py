@@ -10,7 +10,7 @@ import pytest
 from station.fit.noise import given_noise, inverse_cholesky, unknown_noise
 from station.fit.pair_model import JointFit, Model, PairTracks, parameter_covariance, stepped_frames
 from station.fit.pair_residuals import errors, linearised
-from station.fit.pairwise import fit_joint
+from station.fit.pairwise import fit_joint, fit_types
 from station.kinematics import se3
 from station.kinematics.joints import JOINT_TYPES, JointFrames, JointType
 from station.logs import FloatArray
@@ -216,3 +216,16 @@ def test_inverse_cholesky_whitens() -> None:
     S = A @ np.swapaxes(A, -1, -2) + 0.1 * np.eye(6)
     W = inverse_cholesky(S)
     np.testing.assert_allclose(W @ S @ np.swapaxes(W, -1, -2), np.broadcast_to(np.eye(6), S.shape), atol=1e-9)
+
+
+@pytest.mark.parametrize("travel", [0.2, 0.33])
+def test_a_type_fits_no_worse_than_what_it_includes(travel: float) -> None:
+    """Short turns of a screw at 0.3 m look most like a slide at first; the hinge is a better start."""
+    rng = np.random.default_rng(16)
+    _, _, T = simulated_pairs(rng, "screw", pairs=20, travel=travel)
+    tracks = tracks_of(T @ se3.exp(rng.normal(size=(*T.shape[:2], 6)) * np.repeat([0.0015, 0.025], 3)))
+    for name, joint in JOINT_TYPES.items():
+        for simpler in joint.includes:
+            fits = fit_types(tracks, (simpler, name))
+            cost = [-2 * np.sum(fit.log_density - 0.5 * fit.chi2, axis=-1) for fit in (fits[simpler], fits[name])]
+            assert np.all(cost[1] < cost[0] + 1.0)  # -2 log likelihood

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from station.fit.bodies import Group
+from station.fit.options import FitOptions
 from station.fit.structure import components, depths, outward, shallowest, spanning_forest
 from station.fit.subclusters import merged, singles
 from station.kinematics import se3
+from tests.benchmarks.random_trees import BODIES, try_tree
 
 CHAIN = np.array([[0, 1], [1, 2], [2, 3], [3, 4]], dtype=np.intp)
 
@@ -61,3 +64,11 @@ def test_a_body_is_named_by_its_first_part() -> None:
         (Group((3,), se3.identity(1)), Group((1,), se3.identity(1))), np.array([[0, 1]], dtype=np.intp), np.eye(4)[None]
     )
     assert groups[0].members == (1, 3)
+
+
+@pytest.mark.parametrize("number", [86, 148])
+def test_edges_compare_by_misfit_whatever_the_noise_of_their_ends(number: int) -> None:
+    """Of 200 random trees the two in which, by likelihood alone, a pair of which one end is known better crowds out a
+    true joint.
+    """
+    assert try_tree((0, number, FitOptions().joint_types, BODIES)).wrong == {}
