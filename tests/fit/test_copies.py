@@ -79,3 +79,10 @@ def test_trackers_of_one_body_with_errors_of_their_own_are_no_copies() -> None:
     assert not without_copies(with_part(log, "lid_b", other)).repeats
     still = np.tile(random_poses(rng, 0.5, 2), (FRAMES, 1, 1, 1))
     assert not without_copies(replace(log, T_ref_part=still)).repeats
+
+
+def test_a_slide_of_a_few_micrometres_is_one() -> None:
+    """Exact poses of a tiny thing: an offset that changes as much as the poses do is none."""
+    still = np.tile(random_poses(np.random.default_rng(113), 0.5, 2), (FRAMES, 1, 1, 1))
+    still[:, 1, 0, 3] += np.linspace(0, 2e-5, FRAMES)
+    assert not without_copies(replace(hinge(), T_ref_part=still)).repeats

@@ -23,18 +23,22 @@ def probabilities(log: PoseLog) -> dict[str, float]:
     return score_fits(fit_types(tracks, types, quickly=False), tracks, "evidence", free=False).probabilities(0)
 
 
-def slide_bent_by_its_tracker(rng: np.random.Generator, error_frames: float) -> PoseLog:
-    """A slide of half a metre whose marker seems to turn by two degrees on the way, and to leave the line as a circle
-    of 15 m would; besides noise that changes slowly or not.
-    """
-    s = np.linspace(0, 0.5, FRAMES)
-    T = poses(np.outer(np.radians(2.0) * s / 0.5, [0.0, 0.0, 1.0]), np.stack([s, s**2 / 30, 0 * s], axis=-1))
-    return watch(rng, T[:, None], 0.001, 0.005, Faults(error_frames=error_frames)).log
+def arc(rng: np.random.Generator, radius_m: float, error_frames: float) -> PoseLog:
+    """Half a metre of a circle; besides 1.5 mm of noise, which changes slowly or not."""
+    angle = np.linspace(0, 0.5 / radius_m, FRAMES)
+    way = radius_m * np.stack([np.sin(angle), 1 - np.cos(angle), 0 * angle], axis=-1)
+    T = poses(np.outer(angle, [0.0, 0.0, 1.0]), way)
+    return watch(rng, T[:, None], 0.0015, 0.006, Faults(error_frames=error_frames)).log
 
 
-def test_a_slide_bent_as_trackers_bend_them_is_a_slide() -> None:
+@pytest.mark.parametrize(
+    ("radius_m", "error_frames", "slide"), [(4.0, 20.0, True), (2.0, 20.0, False), (2.0, 0.0, False)]
+)
+def test_an_arc_as_flat_as_trackers_bend_lines_is_a_slide(radius_m: float, error_frames: float, slide: bool) -> None:
+    """Likelihood alone takes each of them for a hinge."""
     for seed in range(5):
-        assert probabilities(slide_bent_by_its_tracker(np.random.default_rng([150, seed]), 20.0))["prismatic"] > 0.9
+        found = probabilities(arc(np.random.default_rng([150, seed]), radius_m, error_frames))
+        assert found["prismatic" if slide else "revolute"] > 0.9
 
 
 @pytest.mark.parametrize(("error_frames", "sure"), [(0.0, True), (20.0, False)])

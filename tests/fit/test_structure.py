@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from simulated import noisy_log, simulated_tree
 
 from station.fit.bodies import Group
+from station.fit.learner import learn
 from station.fit.options import FitOptions
 from station.fit.structure import components, depths, outward, shallowest, spanning_forest
 from station.fit.subclusters import merged, singles
@@ -72,3 +74,13 @@ def test_edges_compare_by_misfit_whatever_the_noise_of_their_ends(number: int) -
     true joint.
     """
     assert try_tree((0, number, FitOptions().joint_types, BODIES)).wrong == {}
+
+
+def test_edges_compare_by_misfit_however_far_their_joints_went() -> None:
+    """A chain of four at 4 mm and 2 deg, in which a true joint goes far and a pair beyond it does not."""
+    rng = np.random.default_rng([11, 4, 1])
+    truth = simulated_tree(rng, bodies=4, frames=100, trackers=(1, 1))
+    log = noisy_log(rng, truth, sigma_m=0.004, sigma_rad=np.radians(2.0))
+    body = dict(zip(log.parts, truth.body_of, strict=True))
+    found = {frozenset((body[joint.parent], body[joint.child])) for joint in learn(log).tree.joints}
+    assert found == {frozenset(joint[:2]) for joint in truth.joints}
