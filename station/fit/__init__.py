@@ -28,9 +28,10 @@ def fit(
 
     Args:
         log: poses of K parts at T times; NaN where a part was not seen.
-        method: how to fit: "station".
-        criterion: how joint types are compared: "evidence", "bic", "aic" or "aicc".
-        joint_types: the candidates between two bodies.
+        method: how to fit: "station", or "paper" for the paper's, step by step.
+        criterion: how joint types are compared: "evidence", "bic", "aic", "aicc" or "paper-aic".
+        joint_types: the candidates between two bodies: "rigid", "prismatic", "revolute", "screw", "spherical"; and
+            "free", to have the score of no joint at all among theirs.
         root: part whose body becomes the tree's root; None takes the one that moves least.
         include_reference: whether the frame that the poses are in is a part itself, a static one. It always is where
             the log has but one part: a door in front of a camera is a hinge.
