@@ -20,8 +20,8 @@ from station.fit.pair_likelihood import TURN, either
 from station.fit.pair_model import ROTATION_VOLUME, Model, PairTracks
 from station.fit.pair_residuals import errors
 from station.fit.pair_starts import FLIP_SHARE_START, best_states, closed_form
-from station.fit.whitening import BALANCE_M
 from station.kinematics.joints import JointFrames, JointType
+from station.kinematics.joints.base import BALANCE_M
 from station.logs import FloatArray
 
 BoolArray = NDArray[np.bool_]

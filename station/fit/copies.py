@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from station.fit.noise import ROUNDING
 from station.fit.result import Fit
 from station.kinematics import se3
+from station.kinematics.joints.base import BALANCE_M
 from station.logs import FloatArray, PoseLog
 
 BoolArray = NDArray[np.bool_]
@@ -23,8 +24,6 @@ IntArray = NDArray[np.intp]
 
 # Frames, spread evenly, by which most pairs are seen to be none.
 SAMPLE = 32
-# A turn of one radian counts as so many metres.
-LEVER_M = 0.1
 # A copy's offset changes by rounding, of numbers in files and of arithmetic, and by no more than this share of what the
 # poses themselves change by.
 WITHIN_M, SHARE = 50 * ROUNDING, 1e-3
@@ -129,9 +128,9 @@ def _repeats(change: FloatArray | np.float64, moved: FloatArray | np.float64) ->
 
 
 def _size(one: FloatArray, other: FloatArray) -> FloatArray:
-    """(...,) [m] between poses (..., 4, 4), both finite or the result is NaN."""
+    """(...,) [m] between poses (..., 4, 4), a turn of one radian counting as BALANCE_M."""
     xi = se3.log(se3.inverse(one) @ other)
-    return np.hypot(np.linalg.norm(xi[..., :3], axis=-1), LEVER_M * np.linalg.norm(xi[..., 3:], axis=-1))
+    return np.hypot(np.linalg.norm(xi[..., :3], axis=-1), BALANCE_M * np.linalg.norm(xi[..., 3:], axis=-1))
 
 
 def _moved(covariance: FloatArray, Ad: FloatArray) -> FloatArray:

@@ -5,8 +5,8 @@ type leaves of a pair's motion is taken for
 
 - noise, as far as it is forgotten within LAG of the record: white noise may be of any size;
 - a tracker's slow errors, as far as they are no more than SLOW_M and SLOW_RAD for each part, orientation errors of the
-  parent acting over the distance; or as long as the joint explains all of the motion but a share of SHARE, both
-  weighed by the noise: what moved far may have large errors;
+  parent acting over the distance; or as long as the joint explains all of the motion but a share of SHARE: what moved
+  far may have large errors;
 - and beyond, motion: the pair is free. So it is if orientations err by ABSURD_RAD, as no tracker does, and if fewer
   than MOST of the frames are inliers: any joint goes through some frames of a motion.
 
@@ -27,6 +27,7 @@ from station.fit.noise import INLIER_ABOVE
 from station.fit.pairwise import JointFit, PairTracks
 from station.fit.whitening import UnknownNoise
 from station.kinematics import se3
+from station.kinematics.joints.base import BALANCE_M
 from station.logs import FloatArray
 
 BoolArray = NDArray[np.bool_]
@@ -60,7 +61,7 @@ def log_odds_of_free(best: JointFit, still: JointFit | None, tracks: PairTracks,
     good = (best.inlier > INLIER_ABOVE) & tracks.seen
     kappa = _slow_errors(best, tracks, good).max(axis=0)
     if still is not None:
-        kappa = np.minimum(kappa, _share_left(best, still, tracks, good) / SHARE)
+        kappa = np.minimum(kappa, _share_left(best, still, good) / SHARE)
     numbers = np.maximum(np.sum(tracks.dimensions * good, axis=-1) / repeats, 6.0)
     below: FloatArray = np.asarray(chdtr(numbers, numbers * kappa), dtype=np.float64)
     above: FloatArray = np.asarray(chdtrc(numbers, numbers * kappa), dtype=np.float64)
@@ -115,12 +116,11 @@ def _lasting(u: FloatArray, good: BoolArray) -> tuple[FloatArray, FloatArray, Fl
     return np.where(known, np.maximum(lasting, 0.0), 0.0), share, np.where(known, 1 / np.sqrt(3 * pairs), 0.0)
 
 
-def _share_left(best: JointFit, still: JointFit, tracks: PairTracks, good: BoolArray) -> FloatArray:
-    """(P,) share of the motion, in units of the noise, that the likeliest type leaves; of a rigid one's, all."""
-    whitener, _ = tracks.noise.whitener(best.model.scales, tracks.seen, tracks.oriented)
+def _share_left(best: JointFit, still: JointFit, good: BoolArray) -> FloatArray:
+    """(P,) share of the motion, a turn of one radian counting as BALANCE_M, that the likeliest type leaves."""
     left, moved = (
-        np.sum(good * np.sum((whitener @ fit.residual[..., None])[..., 0] ** 2, axis=-1), axis=-1)
-        for fit in (best, still)
+        np.sum(good * (np.sum(v**2, axis=-1) + BALANCE_M**2 * np.sum(w**2, axis=-1)), axis=-1)
+        for v, w in (np.split(fit.residual, 2, axis=-1) for fit in (best, still))
     )
     return left / np.maximum(moved, np.finfo(float).tiny)
 

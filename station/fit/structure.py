@@ -22,8 +22,7 @@ LEAST_WEIGHT = 1.0
 def spanning_forest(nodes: int, pairs: IntArray, weights: FloatArray) -> IntArray:
     """Indices into `pairs` of the minimum spanning forest.
 
-    A pair's weight is -2 log likelihood relative to both parts moving anyhow, so a pair that fits more sharply weighs
-    less; pairs at 0 or above explain nothing and are no edges.
+    The lower its weight, the better an edge a pair is; pairs at 0 or above explain nothing and are none.
 
     Args:
         nodes: number of parts.

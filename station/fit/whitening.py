@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from station.fit.noise import chi2_median, lower_inverse
+from station.kinematics.joints.base import BALANCE_M
 from station.logs import FloatArray
 
 BoolArray = NDArray[np.bool_]
@@ -30,10 +31,6 @@ LEAST_FREEDOMS = 1e-3
 LEAST_APART = 1e-4
 # A step makes no scale more than so many times as large, or as small.
 LARGEST_FACTOR = 10.0
-# Deviation of positions over that of orientations [m/rad] to start with where nothing else tells the latter.
-BALANCE_M = 0.1
-# No tracker's position is better than by this, whatever a wrong joint would rather have [m/rad].
-LEAST_BALANCE_M = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -246,7 +243,8 @@ class UnknownNoise:
         told_0 = np.sum(fit.weights * (inside[0, 0] + inside[1, 1] + inside[2, 2]), axis=-1)
         both_0 = np.sum(fit.weights * np.sum(inside**2, axis=(0, 1)), axis=-1)
         scales = np.maximum(scales * _scored(square_0, square, told_0, freedoms, both_0, share), self.least)
-        scales[:, 0] = np.maximum(scales[:, 0], LEAST_BALANCE_M**2 * scales[:, 1])
+        # A parent's orientation errors, acting over the distance, can take all errors of few positions for theirs.
+        scales[:, 0] = np.maximum(scales[:, 0], BALANCE_M**2 / np.maximum(freedoms, 1.0) * scales[:, 1])
         return scales
 
 
