@@ -61,5 +61,7 @@ def _arm_price(fit: JointFit, usual_m: float, time: FloatArray) -> FloatArray:
     along = fit.model.frames.T_axis_child[:, : len(columns), 3] / arm[:, None]
     covariance = parameter_covariance(fit.information)[:, columns][:, :, columns]
     variance = time * np.einsum("pi,pij,pj->p", along, covariance, along)
+    told = usual_m**2 / np.maximum(variance, SHORT_M**2)[:, None]
     off = (1 / SHORTER - 1) ** 2 * (arm**2)[:, None] / np.maximum(variance, SHORT_M**2)[:, None]
-    return np.min(off + (SHORTER * arm[:, None] / usual_m) ** 2, axis=-1)
+    better_told = np.log1p(told / SHORTER**4) - np.log1p(told)  # the same curvature tells a shorter arm better
+    return np.min(off + better_told + (SHORTER * arm[:, None] / usual_m) ** 2, axis=-1)
