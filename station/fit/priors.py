@@ -60,8 +60,8 @@ def _arm_price(fit: JointFit, usual_m: float, time: FloatArray) -> FloatArray:
     columns = [first + i for i, freedom in enumerate(joint.child_freedoms) if freedom < (2 if joint.has_axis else 3)]
     along = fit.model.frames.T_axis_child[:, : len(columns), 3] / arm[:, None]
     covariance = parameter_covariance(fit.information)[:, columns][:, :, columns]
-    variance = time * np.einsum("pi,pij,pj->p", along, covariance, along)
-    told = usual_m**2 / np.maximum(variance, SHORT_M**2)[:, None]
-    off = (1 / SHORTER - 1) ** 2 * (arm**2)[:, None] / np.maximum(variance, SHORT_M**2)[:, None]
+    variance = np.maximum(time * np.einsum("pi,pij,pj->p", along, covariance, along), SHORT_M**2)[:, None]
+    told, arm = usual_m**2 / variance, arm[:, None]
     better_told = np.log1p(told / SHORTER**4) - np.log1p(told)  # the same curvature tells a shorter arm better
-    return np.min(off + better_told + (SHORTER * arm[:, None] / usual_m) ** 2, axis=-1)
+    off = (1 / SHORTER - 1) ** 2 * arm**2 / variance
+    return np.min(off + better_told + (SHORTER * arm / usual_m) ** 2, axis=-1)
