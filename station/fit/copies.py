@@ -20,7 +20,6 @@ from station.kinematics.joints.base import BALANCE_M
 from station.logs import FloatArray, PoseLog
 
 BoolArray = NDArray[np.bool_]
-IntArray = NDArray[np.intp]
 
 # Frames, spread evenly, by which most pairs are seen to be none.
 SAMPLE = 32

@@ -114,9 +114,9 @@ class _Work:
             begun[name] = self._retried(joint, begun[name], many, self._from_samples)
             if joint.states:
                 begun[name] = self._retried(joint, begun[name], some, self._from_the_rest)
-            for simpler in joint.includes:
-                if simpler in begun:
-                    begun[name] = self._from_included(joint, begun[name], begun[simpler])
+        for name, joint in joints.items():  # all others have come as far as they do, in whatever order types are given
+            for simpler in (included for included in joint.includes if included in begun):
+                begun[name] = self._from_included(joint, begun[name], begun[simpler])
         best = np.min(np.stack([progress.cost for progress in begun.values()]), axis=0)
         return {name: self._finished(joints[name], progress, best) for name, progress in begun.items()}
 
