@@ -29,11 +29,10 @@ from station.formats.rig import (
     EMULATED,
     RENDERED,
     RigTable,
-    SimulatedCamera,
-    SimulationTable,
     load_calibration,
     parse_rig,
 )
+from station.formats.simulation import SimulatedCamera, SimulationTable
 from station.formats.text import read_text
 from station.logs import FloatArray
 from station.perception.markers import MarkerTable

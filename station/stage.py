@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from calibration.intrinsics import CameraModel
-from station.formats.rig import RigTable, SimulatedBox, SimulatedPlate, SimulationTable, metres
+from station.formats.rig import RigTable
+from station.formats.simulation import SimulatedBox, SimulatedPlate, SimulationTable, metres
 from station.kinematics import se3
 from station.kinematics.tree import Joint, KinematicTree
 from station.logs import FloatArray

@@ -20,6 +20,7 @@ from station.formats.poses_csv import format_poses_csv
 from station.kinematics import se3
 from station.logs import PoseLog
 from station.recording import Recording
+from station.rig import packaged
 from station.session import read_status
 from tests.sessions import SHORT, capture_short, write_motion
 
@@ -183,7 +184,7 @@ def errors_are_short(err: str) -> bool:
 
 def test_bad_input_is_one_clear_error_and_leaves_nothing(station, session: Path, tmp_path: Path):
     out = tmp_path / "out"
-    demo = (Path(cli.__file__).parent / "rigs" / "demo.toml").read_text(encoding="utf-8")
+    demo = packaged("rigs", "demo").read_text(encoding="utf-8")
     (tmp_path / "key.toml").write_text(demo.replace("baud =", "baut ="), encoding="utf-8")
     (tmp_path / "type.toml").write_text(demo.replace("fps = 30", 'fps = "30"'), encoding="utf-8")
     head, tail = demo.split("[camera.calibration]")

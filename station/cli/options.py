@@ -1,0 +1,36 @@
+"""Arguments and options that several commands share."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+class Method(StrEnum):
+    """Methods of the fit."""
+
+    station = "station"
+    paper = "paper"
+
+
+Out = Annotated[Path, typer.Option("--out", help="Folder for the result; must be new or empty.", show_default=False)]
+Force = Annotated[bool, typer.Option("--force", help="Overwrite what is in the folder.")]
+Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
+Seed = Annotated[
+    int | None, typer.Option("--seed", help="Seed of everything random in a simulation.", show_default=False)
+]
+Realtime = Annotated[bool, typer.Option("--realtime", help="Simulate on the real clock instead of a virtual one.")]
+Simulate = Annotated[
+    bool, typer.Option("--simulate", help="Emulated servos and a rendered camera, whatever the rig names.")
+]
+RigArgument = Annotated[
+    str, typer.Argument(metavar="RIG", help="Rig: a file, or the name of a packaged one such as demo.")
+]
+MotionArgument = Annotated[str, typer.Argument(metavar="MOTION", help="Motion: a file, or the name of a packaged one.")]
+SessionArgument = Annotated[Path, typer.Argument(metavar="SESSION", help="Session folder.", show_default=False)]
+Commands = Annotated[
+    Path | None, typer.Option("--commands", help="commands.csv of another clock, in place of the recorded commands.")
+]

@@ -1,0 +1,219 @@
+"""From a motion to Figure 7: demo, run, capture, fit, compare, report, view, plan."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from station.cli.app import app
+from station.cli.options import (
+    Commands,
+    Force,
+    Json,
+    Method,
+    MotionArgument,
+    Out,
+    Realtime,
+    RigArgument,
+    Seed,
+    SessionArgument,
+    Simulate,
+)
+from station.cli.show import progress, say_next, saying_what_is_left, table, warn
+
+if TYPE_CHECKING:
+    from station.compare import Comparison
+    from station.kinematics.tree import KinematicTree
+
+
+@app.command()
+def demo(
+    out: Annotated[Path, typer.Option("--out", help="Session folder; must be new or empty.")] = Path("demo"),
+    seed: Seed = None,
+    realtime: Realtime = False,
+    force: Force = False,
+    as_json: Json = False,
+) -> None:
+    """Run the whole station without hardware, to Figure 7.
+
+    Captures the packaged demo motion on an emulated arm and a rendered camera, fits the recording, and compares the
+    detected joint angles with the commands and the read-back.
+    """
+    _run("demo", "demo", out, as_json, seed=seed, realtime=realtime, force=force)
+
+
+@app.command()
+def run(
+    rig: RigArgument,
+    motion: MotionArgument,
+    out: Out,
+    seed: Seed = None,
+    simulate: Simulate = False,
+    realtime: Realtime = False,
+    force: Force = False,
+    as_json: Json = False,
+) -> None:
+    """Capture, fit, compare and report in one go."""
+    _run(rig, motion, out, as_json, seed=seed, simulate=simulate, realtime=realtime, force=force)
+
+
+def _run(rig: str, motion: str, out: Path, as_json: bool, **settings: Any) -> None:
+    from station import commands
+
+    with saying_what_is_left(out), progress() as bar:
+        comparison = commands.run(rig, motion, out, stage=bar.stage, progress=bar.update, **settings)
+    _show_comparison(comparison, as_json)
+    say_next(
+        f"Figure 7      {out / 'report' / 'figure7.png'}",
+        f"report        {out / 'report' / 'report.html'}",
+        f"tree          {out / 'fit' / 'kinematics.json'}",
+        f"recording     station view {out}",
+    )
+
+
+@app.command()
+def capture(
+    rig: RigArgument,
+    motion: MotionArgument,
+    out: Out,
+    seed: Seed = None,
+    simulate: Simulate = False,
+    realtime: Realtime = False,
+    force: Force = False,
+    as_json: Json = False,
+) -> None:
+    """Run a motion on a rig and record it into a session folder."""
+    from station import commands
+
+    with saying_what_is_left(out), progress() as bar:
+        bar.stage("capture")
+        counts = commands.capture(
+            rig, motion, out, seed=seed, simulate=simulate, realtime=realtime, force=force, progress=bar.update
+        )
+    if as_json:
+        print(json.dumps(counts.as_dict()))
+    else:
+        for name, number in counts.as_dict().items():
+            print(f"{name.replace('_', ' '):16} {number}")
+    say_next(f"fit it        station fit {out}")
+
+
+@app.command()
+def fit(
+    source: Annotated[Path, typer.Argument(metavar="INPUT", help="Session folder, recording.rrd, or a log of poses.")],
+    out: Annotated[
+        Path | None, typer.Option("--out", help="Folder for the result, new or empty; for a session its fit/.")
+    ] = None,
+    method: Annotated[Method, typer.Option("--method", help="How to fit.")] = Method.station,
+    criterion: Annotated[
+        str, typer.Option("--criterion", help="Selection criterion: evidence, bic, aic, aicc, paper-aic.")
+    ] = "evidence",
+    joint_types: Annotated[
+        str,
+        typer.Option(
+            "--joint-types", help="Candidates, comma-separated, of rigid, prismatic, revolute, screw, spherical, free."
+        ),
+    ] = "rigid,prismatic,revolute",
+    root: Annotated[
+        str | None, typer.Option("--root", help="Part at the root of the tree.", show_default=False)
+    ] = None,
+    include_reference: Annotated[
+        bool, typer.Option("--include-reference", help="Take the frame of the poses for a static part.")
+    ] = False,
+    force: Force = False,
+    as_json: Json = False,
+) -> None:
+    """Discover the kinematic tree in a session or a log of poses.
+
+    Reads a session folder, a recording.rrd, poses.csv, TUM files, plain tracks (x y z qx qy qz qw) and the ArUco
+    library's old rows. Writes kinematics.json, joint_states.csv, kinematics.urdf and a drawing.
+    """
+    from station import commands
+    from station.fit.options import FitOptions
+    from station.fit_files import TREE_FILE
+
+    options = FitOptions(
+        method=method.value,
+        criterion=criterion,
+        joint_types=tuple(name.strip() for name in joint_types.split(",")),
+        root=root,
+        include_reference=include_reference,
+    )
+    result = commands.fit(source, out, options=options, force=force)
+    if as_json:
+        print((result.folder / TREE_FILE).read_text(encoding="utf-8"))
+    else:
+        _show_tree(result.fit.tree)
+    for notice in (*result.notices, *result.fit.tree.warnings):
+        warn(notice)
+    say_next(f"tree          {result.folder / TREE_FILE}", f"drawing       {result.folder / 'tree.png'}")
+
+
+@app.command()
+def compare(session: SessionArgument, commands_csv: Commands = None, as_json: Json = False) -> None:
+    """Compare detected joint angles with commands and read-back.
+
+    Errors are after one sign and one offset a joint; lag and gain are estimated and shown beside. Writes
+    comparison.csv and comparison.json into the session's report/.
+    """
+    from station import commands
+
+    _show_comparison(commands.compare(session, commands=commands_csv), as_json)
+
+
+@app.command()
+def report(session: SessionArgument, commands_csv: Commands = None, as_json: Json = False) -> None:
+    """Write a session's report: Figure 7, tables, the tree."""
+    from station import commands
+
+    _show_comparison(commands.report(session, commands=commands_csv), as_json)
+    say_next(f"report        {session / 'report' / 'report.html'}")
+
+
+@app.command()
+def view(session: SessionArgument) -> None:
+    """Open a session in the rerun viewer."""
+    from station import commands
+
+    commands.view(session)
+
+
+@app.command()
+def plan(rig: RigArgument, motion: MotionArgument, as_json: Json = False) -> None:
+    """Check a whole motion against a rig's limits; nothing moves.
+
+    Prints what will be commanded when.
+    """
+    from station import commands
+
+    planned = commands.plan(rig, motion)
+    rows = commands.plan_rows(planned)
+    if as_json:
+        print(json.dumps(commands.plan_document(planned), allow_nan=False))
+        return
+    table(f"motion '{planned.motion.name}' on {rig}: {planned.duration_s:.1f} s, within all limits", rows)
+
+
+def _show_comparison(comparison: Comparison, as_json: bool) -> None:
+    from station.comparison_files import comparison_json
+    from station.report import summary_rows
+
+    if as_json:
+        print(comparison_json(comparison))
+        return
+    table("Detected against read-back and command, after sign and offset only", summary_rows(comparison))
+    for name in comparison.unmatched_commanded:
+        warn(f"{name}: no detected joint follows it")
+    for name in comparison.unmatched_fitted:
+        warn(f"{name}: detected, but follows no command")
+
+
+def _show_tree(tree: KinematicTree) -> None:
+    from station.report import tree_rows
+
+    table(f"{len(tree.bodies)} bodies of {len(tree.parts)} tracked parts, root {tree.root}", tree_rows(tree))
+    for group in tree.rigid_groups:
+        print(f"one body: {', '.join(group)}")

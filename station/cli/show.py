@@ -1,0 +1,109 @@
+"""What people see on a terminal: tables, progress, warnings, what to do next."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+TABLE_WIDTH = 100
+
+
+def table(title: str, rows: list[list[str]]) -> None:
+    """Print rows, the header first, as a table that fits the terminal."""
+    from rich import box
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    grid = Table(title=title, title_justify="left", title_style="bold", box=box.SIMPLE_HEAD, pad_edge=False)
+    for name, *cells in zip(*rows, strict=True):
+        words = any(cell[:1].isalpha() for cell in cells)
+        last = name == rows[0][-1]
+        grid.add_column(Text(name), justify="left" if words else "right", no_wrap=not (words and last))
+    for row in rows[1:]:
+        grid.add_row(*map(Text, row))
+    console = Console()
+    Console(width=None if console.is_terminal else TABLE_WIDTH).print(grid)
+
+
+def say_next(*lines: str) -> None:
+    """Say on standard error what there is now and what can be done with it."""
+    print("\n".join(lines), file=sys.stderr)
+
+
+def warn(text: str) -> None:
+    """Say what is doubtful about a result."""
+    print(f"warning: {text}", file=sys.stderr)
+
+
+class Bar:
+    """Progress on the terminal: a bar while capturing, a name while computing; silent where no person looks."""
+
+    def __init__(self, progress: Any) -> None:
+        self._progress = progress
+        self._task: Any = None
+
+    def stage(self, name: str) -> None:
+        """The next piece of work begins."""
+        self.finish()
+        self._task = self._progress.add_task(name, total=None)
+
+    def finish(self) -> None:
+        """The present piece of work is done."""
+        if self._task is not None:
+            total = self._progress.tasks[self._task].total or 1
+            self._progress.update(self._task, total=total, completed=total)
+
+    def hide(self) -> None:
+        """Take all bars away."""
+        for task in self._progress.task_ids:
+            self._progress.update(task, visible=False)
+
+    def update(self, done_s: float, total_s: float) -> None:
+        """How far the present piece of work has come."""
+        self._progress.update(self._task, completed=done_s, total=total_s)
+
+
+@contextmanager
+def progress() -> Iterator[Bar]:
+    """A bar on standard error while the block runs."""
+    from rich.console import Console
+    from rich.progress import (
+        BarColumn,
+        Progress,
+        TaskProgressColumn,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
+
+    console = Console(stderr=True)
+    columns = (
+        TextColumn("{task.description:8}"),
+        BarColumn(),
+        TaskProgressColumn(),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, console=console, disable=not console.is_terminal) as shown:
+        bar = Bar(shown)
+        try:
+            yield bar
+        except BaseException:
+            bar.hide()
+            raise
+        bar.finish()
+
+
+@contextmanager
+def saying_what_is_left(out: Path) -> Iterator[None]:
+    """After a signal, tell that the recording is whole, if there is one."""
+    try:
+        yield
+    except (KeyboardInterrupt, SystemExit):
+        if (out / "session.json").exists():
+            say_next(f"stopped; what was recorded is in {out}, fit it with: station fit {out}")
+        raise

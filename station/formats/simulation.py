@@ -1,0 +1,112 @@
+"""`[simulation]` of rig.toml: truth for the emulated bus and the rendered camera."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import numpy as np
+from pydantic import Field
+
+from station.formats.toml_models import StrictModel
+from station.logs import FloatArray
+
+MM_PER_M = 1e3
+
+Positive = Annotated[float, Field(gt=0)]
+NotNegative = Annotated[float, Field(ge=0)]
+Vector = Annotated[list[float], Field(min_length=3, max_length=3)]
+
+
+def metres(values_mm: list[float]) -> FloatArray:
+    """Millimetres to a vector in metres."""
+    return np.array(values_mm, dtype=np.float64) / MM_PER_M
+
+
+class SimulatedJoint(StrictModel):
+    """`[[simulation.joint]]`: where the joint of that name really is, in the root's frame with all joints at zero."""
+
+    name: str
+    parent: str
+    child: str
+    axis: Vector
+    point_mm: Vector
+
+
+class SimulatedPlate(StrictModel):
+    """`[[simulation.plate]]`: the marker of that id on a body: its centre, outward normal and upward direction."""
+
+    id: int
+    body: str
+    position_mm: Vector
+    normal: Vector
+    up: Vector = Field(default_factory=lambda: [0.0, 0.0, 1.0])
+    margin_mm: NotNegative = 8.5
+
+
+class SimulatedBox(StrictModel):
+    """`[[simulation.box]]`: a block on a body, for people to see; rpy_deg turns it about fixed x, y, z in turn."""
+
+    body: str
+    size_mm: Vector
+    position_mm: Vector
+    rpy_deg: Vector = Field(default_factory=lambda: [0.0, 0.0, 0.0])
+    colour: Annotated[str, Field(pattern="^#[0-9a-fA-F]{6}$")] = "#8a8f98"
+
+
+class SimulatedCamera(StrictModel):
+    """`[simulation.camera]`: where the rendered camera stands and how bad its pictures are.
+
+    matrix and distortion are the real ones; where they aren't given, the calibration is taken to be exact.
+    """
+
+    position_mm: Vector
+    look_at_mm: Vector
+    exposure_s: Positive = 0.008
+    latency_s: NotNegative = 0.0
+    blur_px: NotNegative = 0.6
+    noise_grey: NotNegative = 1.5
+    gamma: Positive = 2.2
+    blur_instants: Annotated[int, Field(ge=1)] = 1
+    matrix: list[Vector] | None = None
+    distortion: Annotated[list[float], Field(min_length=5, max_length=5)] | None = None
+
+
+class SimulationTable(StrictModel):
+    """`[simulation]`: truth for the emulated bus and the rendered camera, drawn with all joints at zero.
+
+    placement_mm and placement_deg are standard deviations by which the seed moves each plate and the camera, as hands
+    would; max_acceleration_deg_s2 limits the emulated servos.
+    """
+
+    root: str
+    seed: int = 0
+    placement_mm: NotNegative = 0.0
+    placement_deg: NotNegative = 0.0
+    max_acceleration_deg_s2: Positive = 400.0
+    camera: SimulatedCamera
+    joint: Annotated[list[SimulatedJoint], Field(min_length=1)]
+    plate: list[SimulatedPlate]
+    box: list[SimulatedBox] = Field(default_factory=list)
+
+    def bodies(self) -> tuple[str, ...]:
+        """The root, then each joint's child, in the order of the file."""
+        return (self.root, *(joint.child for joint in self.joint))
+
+
+def check_simulation(simulation: SimulationTable, joints: set[str], ids: set[int]) -> None:
+    """Raise ValueError for joints, bodies or plates that the rig or the simulation itself doesn't have."""
+    have = {joint.name for joint in simulation.joint}
+    if have != joints or len(simulation.joint) != len(joints):
+        both = f"the rig has {sorted(joints)}, it places {sorted(have)}"
+        raise ValueError(f"[simulation] must place each joint once; {both}")
+    placed = {simulation.root}
+    for joint in simulation.joint:
+        if joint.parent not in placed or joint.child in placed:
+            raise ValueError(f"simulated joint '{joint.name}': the parent must stand before it, the child must be new")
+        placed.add(joint.child)
+    for item in (*simulation.plate, *simulation.box):
+        if item.body not in placed:
+            raise ValueError(f"no simulated body '{item.body}'; have {', '.join(sorted(placed))}")
+    strangers = sorted({plate.id for plate in simulation.plate} - ids)
+    if strangers:
+        raise ValueError(f"simulated plates have ids {strangers}, which [markers] doesn't list")
