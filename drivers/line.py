@@ -131,7 +131,7 @@ class Line:
         return self._group_read(servo_ids, size, send)
 
     def bulk_read(self, servo_ids: Sequence[int], address: int, size: int) -> dict[int, Answer]:
-        """As `sync_read`, by protocol 1.0's bulk read; the SDK's GroupBulkRead fails there, its packet handler works."""
+        """As `sync_read`, by protocol 1.0's bulk read; of the SDK only the packet handler's works."""
         rows = [byte for servo_id in servo_ids for byte in (size, servo_id, address)]
         return self._group_read(servo_ids, size, lambda: self._handler.bulkReadTx(self._port, rows, len(rows)))
 
