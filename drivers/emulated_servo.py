@@ -25,6 +25,7 @@ class Refusal(Enum):
     LENGTH = "length"
     LIMIT = "limit"
     ACCESS = "access"
+    RESULT = "result"
 
 
 class Refused(Exception):
@@ -147,6 +148,7 @@ class EmulatedServo:
         max_acceleration_rad_s2: float = DEFAULT_ACCELERATION_RAD_S2,
         voltage_v: float = 12.0,
         temperature_c: float = 32.0,
+        protocol: float | None = None,
     ) -> None:
         self.model: ServoModel = load_model(model)
         self._max_speed_rad_s = max_speed_rad_s or self.model.no_load_rad_s
@@ -159,6 +161,75 @@ class EmulatedServo:
         self._memory = bytearray(self.model.size_bytes)
         self._power_up(count, keep=())
         self.set("id", id)
+        if protocol is not None and protocol not in self.model.protocols:
+            spoken = " and ".join(f"{known:.1f}" for known in self.model.protocols)
+            raise DriverError(f"servo {id}: {self.model.name} speaks protocol {spoken}; have {protocol:g}")
+        self._protocol = protocol or self.model.protocols[-1]
+        if "protocol_type" in self.model.registers:
+            self.set("protocol_type", int(self._protocol))
+
+    @property
+    def protocol(self) -> float:
+        """The protocol that it speaks."""
+        return self._protocol
+
+    @property
+    def secondary_id(self) -> int | None:
+        """The id of others that it obeys too."""
+        if "secondary_id" not in self.model.registers or (id := self.get("secondary_id")) > 252:
+            return None
+        return id
+
+    @property
+    def voltage_v(self) -> float:
+        """The supply voltage."""
+        return self._voltage_v
+
+    @property
+    def temperature_c(self) -> float:
+        """The temperature."""
+        return self._temperature_c
+
+    def clear_turns(self, t_ns: int) -> None:
+        """Count turns anew."""
+        if self.shaft.moving(t_ns):
+            raise Refused(Refusal.RESULT)
+
+    def store_backup(self) -> None:
+        """Store."""
+        if self.get("torque_enable"):
+            raise Refused(Refusal.RESULT)
+        self._backup = {r.name: self.get(r.name) for r in self.model.registers.values() if r.area == "EEPROM"}
+
+    def restore_backup(self, t_ns: int) -> None:
+        """Restore."""
+        if self.get("torque_enable") or not hasattr(self, "_backup"):
+            raise Refused(Refusal.RESULT)
+        for name, value in self._backup.items():
+            self.set(name, value)
+        self.reboot(t_ns)
+
+    def hear(self, t_ns: int) -> None:
+        """An instruction packet went over the wire."""
+
+    def advance(self, t_ns: int) -> None:
+        """Live until a time."""
+
+    def shaft_rad(self, t_ns: int) -> float:
+        """The shaft's angle."""
+        return self.shaft.at(t_ns)[0]
+
+    def set_voltage(self, volt: float, t_ns: int) -> None:
+        """Another supply."""
+        self._voltage_v = volt
+
+    def set_temperature(self, celsius: float, t_ns: int) -> None:
+        """Another temperature."""
+        self._temperature_c = celsius
+
+    def obstruct(self, lower_rad: float, upper_rad: float, t_ns: int) -> None:
+        """Something is in the way."""
+        self._free = (lower_rad, upper_rad)
 
     @property
     def id(self) -> int:

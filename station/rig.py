@@ -163,11 +163,17 @@ class EmulatedArm(EmulatedBus):
                 zero = model.zero_count if servo.zero is None else servo.zero
                 park = round(zero + servo.sign * np.radians(joint.park_deg) / model.rad_per_count)
                 servos.append(
-                    EmulatedServo(servo.id, servo.model, initial_count=park, max_acceleration_rad_s2=acceleration)
+                    EmulatedServo(
+                        servo.id,
+                        servo.model,
+                        initial_count=park,
+                        max_acceleration_rad_s2=acceleration,
+                        protocol=table.bus.protocol,
+                    )
                 )
                 turns.append((servo.id, servo.sign, (zero - model.zero_count) * model.rad_per_count))
             self._turns.append(turns)
-        super().__init__(servos, protocol=table.bus.protocol, baud=table.bus.baud, clock=clock)
+        super().__init__(servos, baud=table.bus.baud, clock=clock)
 
     def joint_rad(self, t_ns: int) -> FloatArray:
         """(J,) true joint angles at a time of the clock: the mean of the servos that turn each."""

@@ -55,10 +55,9 @@ def line(
     fragment_bytes: int | None = None,
     alter_reply: AlterReply | None = None,
 ) -> Iterator[Line]:
-    servos = [EmulatedServo(id, model) for id in ids]
+    servos = [EmulatedServo(id, model, protocol=protocol) for id in ids]
     bus = EmulatedBus(
         servos,
-        protocol=protocol,
         baud=1_000_000,
         clock=clock or VirtualClock(),
         fragment_bytes=fragment_bytes,
@@ -172,7 +171,7 @@ def test_status_return_level_is_honoured() -> None:
 
 def test_an_alarm_shows_in_every_status() -> None:
     servo = EmulatedServo(1, "XM430-W350")
-    with EmulatedBus([servo], protocol=2.0, baud=1_000_000, clock=VirtualClock()) as bus:
+    with EmulatedBus([servo], baud=1_000_000, clock=VirtualClock()) as bus:
         client = Line(bus, 2.0, 1_000_000)
         bus.raise_alarm(1, "overheating")
         assert client.ask(1, Instruction.READ, "46 00 01 00") == [(1, 0x80, b"\x04")]
@@ -192,7 +191,7 @@ def test_wire_time_and_return_delay_pass_on_the_clock() -> None:
 def test_a_shaft_is_where_the_goals_time_says() -> None:
     clock = VirtualClock()
     servo = EmulatedServo(1, "AX-18A", max_acceleration_rad_s2=1e6)
-    with EmulatedBus([servo], protocol=1.0, baud=1_000_000, clock=clock) as bus:
+    with EmulatedBus([servo], baud=1_000_000, clock=clock) as bus:
         client = Line(bus, 1.0, 1_000_000)
         client.ask(1, Instruction.WRITE, "20 64 00")  # 11.1 rpm
         client.ask(1, Instruction.WRITE, "18 01")
@@ -223,13 +222,13 @@ def test_an_id_that_is_written_is_the_new_id() -> None:
 def test_wrong_setups_say_so() -> None:
     clock = VirtualClock()
     with pytest.raises(DriverError, match="one id"):
-        EmulatedBus([EmulatedServo(1, "AX-18A")] * 2, protocol=1.0, baud=1_000_000, clock=clock)
+        EmulatedBus([EmulatedServo(1, "AX-18A")] * 2, baud=1_000_000, clock=clock)
     with pytest.raises(DriverError, match=r"speaks protocol 1\.0"):
-        EmulatedBus([EmulatedServo(1, "AX-18A")], protocol=2.0, baud=1_000_000, clock=clock)
+        EmulatedServo(1, "AX-18A", protocol=2.0)
     with pytest.raises(DriverError, match="no baud 12345"):
-        EmulatedBus([EmulatedServo(1, "AX-18A")], protocol=1.0, baud=12345, clock=clock)
+        EmulatedBus([EmulatedServo(1, "AX-18A")], baud=12345, clock=clock)
     with pytest.raises(DriverError, match="isn't started"):
-        _ = EmulatedBus([], protocol=1.0, baud=1_000_000, clock=clock).path
+        _ = EmulatedBus([], baud=1_000_000, clock=clock).path
 
 
 def test_closing_leaves_no_thread_and_no_descriptor() -> None:
@@ -238,7 +237,7 @@ def test_closing_leaves_no_thread_and_no_descriptor() -> None:
 
     before = left()
     for _ in range(20):
-        bus = EmulatedBus([EmulatedServo(1, "AX-18A")], protocol=1.0, baud=1_000_000, clock=VirtualClock())
+        bus = EmulatedBus([EmulatedServo(1, "AX-18A")], baud=1_000_000, clock=VirtualClock())
         bus.start()
         bus.start()  # twice is once
         bus.close()

@@ -18,7 +18,7 @@ TIMEOUT_S = 5.0  # a reply takes microseconds; a stalled machine must not fail t
 def test_protocol_2_ping_torque_sync_write_sync_read() -> None:
     clock = VirtualClock()
     servos = [EmulatedServo(id, "XL430-W250") for id in (1, 2, 3)]
-    with EmulatedBus(servos, protocol=2.0, baud=1_000_000, clock=clock) as bus:
+    with EmulatedBus(servos, baud=1_000_000, clock=clock) as bus:
         client = rustypot.Xl430PyController(bus.path, 1_000_000, TIMEOUT_S)
         assert all(client.ping(id) for id in (1, 2, 3))
         for id in (1, 2, 3):
@@ -36,7 +36,7 @@ def test_protocol_2_ping_torque_sync_write_sync_read() -> None:
 
 def test_protocol_1_reads_of_ax() -> None:
     clock = VirtualClock()
-    with EmulatedBus([EmulatedServo(1, "AX-18A", initial_count=700)], protocol=1.0, baud=1_000_000, clock=clock) as bus:
+    with EmulatedBus([EmulatedServo(1, "AX-18A", initial_count=700)], baud=1_000_000, clock=clock) as bus:
         client = rustypot.AxPyController(bus.path, 1_000_000, TIMEOUT_S)
         assert client.ping(1)
         assert client.read_raw_present_position(1) in (700, [700])
