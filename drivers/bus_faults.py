@@ -126,11 +126,16 @@ def format_fault(fault: Fault) -> str:
         parts.append(f"+{_format(fault.for_s)}")
     if fault.rate != 1:
         parts.append(f"%{_format(fault.rate)}")
-    if isinstance(fault.value, tuple):
-        parts.append(f"={_format(fault.value[0])}..{_format(fault.value[1])}")
-    elif fault.value is not None:
-        parts.append(f"={fault.value if isinstance(fault.value, str) else _format(fault.value)}")
+    if fault.value is not None:
+        parts.append(f"={format_value(fault.value)}")
     return "".join(parts)
+
+
+def format_value(value: FaultValue) -> str:
+    """A fault's value as its line has it; empty if there is none."""
+    if isinstance(value, tuple):
+        return f"{_format(value[0])}..{_format(value[1])}"
+    return value or "" if isinstance(value, str | None) else _format(value)
 
 
 def _format(number: float) -> str:
@@ -174,11 +179,11 @@ def _wrong_servos(fault: Fault) -> list[str]:
 def _wrong_value(fault: Fault) -> list[str]:
     kind, value = KINDS[fault.kind], fault.value
     if not kind.value:
-        return [] if value is None else [f"takes no value; have {value}"]
+        return [] if value is None else [f"takes no value; have {format_value(value)}"]
     want = f"want a value: {kind.value}"
     if value is None:
         return [] if kind.optional else [want]
-    return [] if _fits(fault.kind, value) else [f"{want}; have {value}"]
+    return [] if _fits(fault.kind, value) else [f"{want}; have {format_value(value)}"]
 
 
 def _fits(kind: str, value: float | str | tuple[float, float]) -> bool:

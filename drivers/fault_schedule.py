@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drivers.bus_faults import NOISE_BYTES, REPLY_KINDS, STATE_KINDS, Fault, format_fault
+from drivers.bus_faults import NOISE_BYTES, REPLY_KINDS, STATE_KINDS, Fault, format_fault, format_value
 from drivers.errors import DriverError
 from drivers.packets import MAX_ID, encode_status
 from drivers.servo_models import ServoModel
@@ -198,5 +198,5 @@ def _lack(fault: Fault, model: ServoModel) -> str | None:
     if fault.kind == "alert" and fault.value not in model.error_bits.values():
         return f"{model.name} has no alarm '{fault.value}'; it has {', '.join(model.error_bits.values())}"
     if fault.kind == "baud" and fault.value not in model.baud_codes.values():
-        return f"{model.name} has no baud {fault.value}; it has {', '.join(map(str, model.baud_codes.values()))}"
+        return f"{model.name} has no baud {format_value(fault.value)}; it has {', '.join(map(str, model.baud_codes.values()))}"
     return None
