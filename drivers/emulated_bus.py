@@ -132,7 +132,7 @@ class EmulatedBus:
     def shaft_rad(self, servo_id: int, t_ns: int) -> float:
         """True shaft angle, rad from the model's zero count, at a time of the last seconds; raises DriverError else."""
         with self._lock:
-            return self._servo(servo_id).shaft.at(t_ns)[0]
+            return self._servo(servo_id).shaft_rad(t_ns)
 
     def raise_alarm(self, servo_id: int, name: str) -> None:
         """Let a servo fail now, for instance with "overload"."""
