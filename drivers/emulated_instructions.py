@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from drivers.emulated_servo import EmulatedServo, Refusal, Refused
+from contextlib import suppress
+
+from drivers.emulated_servo import EmulatedServo
+from drivers.emulated_table import Refusal, Refused
 from drivers.packets import Instruction
 
 # Error byte of the status packet (e-manual, Status Packet, Error).
@@ -24,6 +27,8 @@ _CLEAR_TURNS = b"\x01\x44\x58\x4c\x22"
 _STORE, _RESTORE = b"\x01\x43\x54\x52\x4c", b"\x02\x43\x54\x52\x4c"
 _KEPT = {b"\xff": (), b"\x01": ("id",), b"\x02": ("id", "baud_rate")}  # e-manual 2.0, Factory Reset
 
+# What a secondary id passes on; not verified for other than writes.
+_FOLLOWED = {Instruction.WRITE, Instruction.REG_WRITE, Instruction.ACTION, Instruction.REBOOT, Instruction.CLEAR}
 # What all do and none answers when it is broadcast; in protocol 2.0 also those of _BROADCAST_2.
 _BROADCAST = {Instruction.WRITE, Instruction.REG_WRITE, Instruction.ACTION, Instruction.REBOOT}
 _BROADCAST_2 = {Instruction.FACTORY_RESET, Instruction.CLEAR, Instruction.BACKUP}
@@ -37,9 +42,16 @@ def answers(servo: EmulatedServo, instruction: int) -> bool:
 def attempt(servo: EmulatedServo, instruction: int, parameters: bytes, t_ns: int) -> tuple[int, bytes]:
     """Have a servo do an instruction; its error byte, without its alarms, and the parameters of its answer."""
     try:
-        return 0, _execute(servo, instruction, parameters, t_ns)
+        return 0, _execute(servo, instruction, parameters, t_ns, ram_only=False)
     except Refused as refused:
         return (_ERRORS_1 if servo.protocol == 1.0 else _ERRORS_2)[refused.reason], b""
+
+
+def follow(servo: EmulatedServo, instruction: int, parameters: bytes, t_ns: int) -> None:
+    """Have a servo do what its secondary id is told: nothing that changes its EEPROM area (e-manual, Secondary ID)."""
+    if instruction in _FOLLOWED:
+        with suppress(Refused):
+            _execute(servo, instruction, parameters, t_ns, ram_only=True)
 
 
 def alarm_bits(servo: EmulatedServo) -> int:
@@ -58,7 +70,7 @@ def for_all(instruction: int, parameters: bytes, protocol: float) -> bool:
     return instruction in _BROADCAST | _BROADCAST_2
 
 
-def _execute(servo: EmulatedServo, instruction: int, parameters: bytes, t_ns: int) -> bytes:
+def _execute(servo: EmulatedServo, instruction: int, parameters: bytes, t_ns: int, *, ram_only: bool) -> bytes:
     wide = servo.protocol == 2.0  # addresses and lengths take two bytes
     match instruction:
         case Instruction.PING:
@@ -71,7 +83,7 @@ def _execute(servo: EmulatedServo, instruction: int, parameters: bytes, t_ns: in
             width = 2 if wide else 1
             (address,) = _numbers(parameters[:width], 1, wide=wide)
             if instruction == Instruction.WRITE:
-                servo.write(address, parameters[width:], t_ns)
+                servo.write(address, parameters[width:], t_ns, ram_only=ram_only)
             else:
                 servo.register_write(address, parameters[width:])
         case Instruction.ACTION:

@@ -13,6 +13,7 @@ from drivers.emulated_instructions import (
     alarm_bits,
     answers,
     attempt,
+    follow,
     for_all,
     group_reads,
     group_writes,
@@ -132,9 +133,10 @@ class Wire:
     ) -> Iterator[Sending]:
         asked = [servo for servo in listening if servo.id == servo_id]
         # e-manual, Secondary ID: does as it is told, and sends no status packet.
-        for servo in listening:
-            if servo.secondary_id == servo_id and servo not in asked:
-                self._attempt(servo, instruction, parameters)
+        with self.lock:
+            for servo in listening:
+                if servo.secondary_id == servo_id and servo not in asked:
+                    follow(servo, instruction, parameters, self._line_ns)
         answering = [servo for servo in asked if answers(servo, instruction)]  # as it was before the instruction
         read = instruction == Instruction.READ
         if read and answering:
@@ -154,13 +156,19 @@ class Wire:
                 self._attempt(servo, instruction, parameters)
         elif writes := group_writes(instruction, parameters, protocol):
             for id, request in writes:
-                for servo in listening:
-                    if id in (servo.id, servo.secondary_id):
-                        self._attempt(servo, Instruction.WRITE, request)
+                self._write(id, request, listening)
         elif reads := group_reads(instruction, parameters, protocol):
             by_id = {servo.id: servo for servo in listening if takes_part(servo, instruction)}
             yield from (self._fast_read if is_fast(instruction) else self._group_read)(reads, by_id)
         # anything else is silence
+
+    def _write(self, servo_id: int, request: bytes, listening: Sequence[EmulatedServo]) -> None:
+        with self.lock:
+            for servo in listening:
+                if servo.id == servo_id:
+                    attempt(servo, Instruction.WRITE, request, self._line_ns)
+                elif servo.secondary_id == servo_id:
+                    follow(servo, Instruction.WRITE, request, self._line_ns)
 
     def _group_read(self, requests: Sequence[tuple[int, bytes]], servos: dict[int, EmulatedServo]) -> Iterator[Sending]:
         """Answer one after the other: each waits for the one before, so that all fall silent after a missing one."""

@@ -54,10 +54,10 @@ class FaultChanges:
             case "voltage":
                 servo.set_voltage(self._value(servo, change, servo.voltage_v), t_ns)
             case "temperature":
-                servo.set_temperature(self._value(servo, change, servo.temperature_c), t_ns)
+                servo.set_temperature(self._value(servo, change, servo.temperature_c(t_ns)), t_ns)
             case "obstruct":
                 free_rad = _free_rad(change.fault.value, servo.shaft_rad(t_ns))
-                servo.obstruct(*(free_rad if change.begins else (-math.inf, math.inf)), t_ns)
+                servo.obstruct(*(free_rad if change.begins else (None, None)), t_ns)
             case _:  # reboot
                 servo.reboot(t_ns)
                 if change.fault.for_s != math.inf:

@@ -198,5 +198,6 @@ def _lack(fault: Fault, model: ServoModel) -> str | None:
     if fault.kind == "alert" and fault.value not in model.error_bits.values():
         return f"{model.name} has no alarm '{fault.value}'; it has {', '.join(model.error_bits.values())}"
     if fault.kind == "baud" and fault.value not in model.baud_codes.values():
-        return f"{model.name} has no baud {format_value(fault.value)}; it has {', '.join(map(str, model.baud_codes.values()))}"
+        have = ", ".join(map(str, model.baud_codes.values()))
+        return f"{model.name} has no baud {format_value(fault.value)}; it has {have}"
     return None

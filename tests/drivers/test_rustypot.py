@@ -44,3 +44,26 @@ def test_protocol_1_reads_of_ax() -> None:
         client.write_torque_enable(1, True)
         assert client.read_torque_enable(1) in (1, True, [1], [True])
         del client
+
+
+def test_fast_sync_read() -> None:
+    servos = [EmulatedServo(id, "XL330-M288", initial_count=1000 * id) for id in (1, 2, 3)]
+    with EmulatedBus(servos, baud=1_000_000, clock=VirtualClock()) as bus:
+        client = rustypot.Xl330PyController(bus.path, 1_000_000, TIMEOUT_S)
+        client.set_fast_sync_read(True)
+        fast = client.sync_read_present_position([3, 1, 2])
+        client.set_fast_sync_read(False)
+        assert fast == client.sync_read_present_position([3, 1, 2])
+        assert client.sync_read_present_temperature([2, 3]) == [32, 32]
+        del client
+
+
+def test_both_protocols_on_one_wire() -> None:
+    servos = [EmulatedServo(1, "AX-12A", initial_count=700), EmulatedServo(2, "XL430-W250", initial_count=2048)]
+    with EmulatedBus(servos, baud=1_000_000, clock=VirtualClock()) as bus:
+        ax = rustypot.AxPyController(bus.path, 1_000_000, TIMEOUT_S)
+        assert ax.ping(1)
+        del ax
+        x = rustypot.Xl430PyController(bus.path, 1_000_000, TIMEOUT_S)
+        assert x.sync_read_present_position([2]) == [2048]
+        del x
