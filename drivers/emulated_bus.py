@@ -7,6 +7,7 @@ import select
 import tempfile
 import threading
 import time
+from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 from pathlib import Path
@@ -119,6 +120,18 @@ class EmulatedBus:
         if self._failure is not None:
             failure, self._failure = self._failure, None
             raise failure
+
+    def wait(self) -> None:
+        """Return when the bus has ended: it was closed elsewhere, or has failed."""
+        if self._thread is not None:
+            self._thread.join()
+
+    def summary(self) -> str:
+        """What is on the bus, for people."""
+        groups = Counter((servo.model.name, servo.protocol, servo.baud) for servo in self._wire.servos)
+        return ", ".join(
+            f"{count} {name} (protocol {protocol:.1f}, {baud} baud)" for (name, protocol, baud), count in groups.items()
+        )
 
     def unplug(self) -> None:
         """Take the device away, as by pulling the adapter's plug; the servos keep their power."""
