@@ -77,11 +77,16 @@ def packaged_names(kind: str) -> list[str]:
     return sorted(path.stem for path in Path(str(resources.files("station") / kind)).glob("*.toml"))
 
 
-def load_rig(name_or_path: str) -> RigFile:
-    """Read a rig and its camera's calibration; raises InvalidFile."""
+def read_rig(name_or_path: str) -> tuple[RigTable, str, Path]:
+    """A rig's table, text and file, its calibration not looked at; raises InvalidFile."""
     path = packaged("rigs", name_or_path)
     text = read_text(path, "rig", f"packaged ones are {', '.join(packaged_names('rigs'))}")
-    table = parse_rig(text, str(path))
+    return parse_rig(text, str(path)), text, path
+
+
+def load_rig(name_or_path: str) -> RigFile:
+    """Read a rig and its camera's calibration; raises InvalidFile."""
+    table, text, path = read_rig(name_or_path)
     return RigFile(table, text, str(path), load_calibration(table, path.parent, str(path)))
 
 
@@ -120,23 +125,25 @@ def open_rig(rig: RigFile, *, simulate: bool = False, realtime: bool = False, se
             port, baud=table.bus.baud, protocol=table.bus.protocol, clock=clock, reply_timeout_s=timeout_s
         )
         disagreement_rad = float(np.radians(table.safety.disagreement_deg))
-        arm = Arm(stack.enter_context(client), _joint_configs(table), clock, disagreement_rad=disagreement_rad)
+        arm = Arm(stack.enter_context(client), joint_configs(table), clock, disagreement_rad=disagreement_rad)
         if bus is not None and simulation is not None and rendered:
             stage = Stage(table, simulation, rig.camera_model, seed or 0)
-            camera: Camera = _rendered_camera(table, simulation.camera, stage, bus, clock, realtime=not virtual)
+            camera: Camera = rendered_camera(table, simulation.camera, stage, bus, clock, realtime=not virtual)
         else:
-            camera = Webcam(table.camera.source, _size(table), table.camera.fps, clock)
+            camera = Webcam(table.camera.source, frame_size(table), table.camera.fps, clock)
         stack.callback(camera.close)
         camera.start()
         simulated_seed = seed if emulated or rendered else None
         yield Rig(table, clock, virtual, arm, camera, rig.camera_model, table.marker_table(), simulated_seed)
 
 
-def _size(table: RigTable) -> tuple[int, int]:
+def frame_size(table: RigTable) -> tuple[int, int]:
+    """(width, height) of the camera's frames."""
     return (table.camera.size_px[0], table.camera.size_px[1])
 
 
-def _joint_configs(table: RigTable) -> tuple[JointConfig, ...]:
+def joint_configs(table: RigTable) -> tuple[JointConfig, ...]:
+    """The joints as the arm takes them."""
     return tuple(
         JointConfig(
             name=joint.name,
@@ -180,9 +187,10 @@ class EmulatedArm(EmulatedBus):
         )
 
 
-def _rendered_camera(
+def rendered_camera(
     table: RigTable, camera: SimulatedCamera, stage: Stage, bus: EmulatedArm, clock: Clock, *, realtime: bool
 ) -> RenderedCamera:
+    """The camera that sees the emulated arm on its stage; not started yet."""
     shares = (np.arange(camera.blur_instants) + 0.5) / camera.blur_instants - 0.5
     offsets_ns = np.round(shares * camera.exposure_s * 1e9).astype(int).tolist()
 
@@ -191,7 +199,7 @@ def _rendered_camera(
 
     return RenderedCamera(
         render,
-        size_px=_size(table),
+        size_px=frame_size(table),
         fps=table.camera.fps,
         exposure_s=camera.exposure_s,
         latency_s=camera.latency_s,

@@ -124,7 +124,7 @@ def _shape(values: ArrayLike, shape: tuple[int, ...], what: str) -> FloatArray:
     return array
 
 
-def _encoded(image: bytes | NDArray[np.uint8]) -> bytes:
+def encode_frame(image: bytes | NDArray[np.uint8]) -> bytes:
     """The JPEG of a BGR (H, W, 3) or grey (H, W) image; bytes are a JPEG already."""
     if isinstance(image, bytes):
         return image
@@ -265,7 +265,7 @@ class RecordingWriter:
             T_cam_marker=pa.array(poses.ravel()),
             rms_px=pa.array(rms.ravel()),
         )
-        jpeg = rr.EncodedImage(contents=_encoded(image), media_type="image/jpeg")
+        jpeg = rr.EncodedImage(contents=encode_frame(image), media_type="image/jpeg")
         self._log(t_ns, OBSERVATIONS, observed, frame=index)
         self._log(t_ns, IMAGE, jpeg, frame=index)
         self._log(t_ns, OVERLAY, *scene.outlines(self._markers, ids, corners), frame=index)
