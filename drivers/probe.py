@@ -66,17 +66,17 @@ class Probe:
         latency_s: how long the adapter may hold received bytes back: 16 ms in an FTDI one as it comes.
 
     Raises:
-        NoPort: from `with`: the port isn't there, is held by another program, or can't be set to the baud (BaudRefused).
+        NoPort: from `with`: the port isn't there, or is held by another program; BaudRefused for the baud.
         BusLost: from all that speaks: the port vanished.
     """
 
     def __init__(self, port: str, setting: Setting, *, latency_s: float) -> None:
         self.setting = setting
-        self._port = FencedPort(port, setting.baud, None)
+        self._path, self._port = port, FencedPort(port, setting.baud, None)
         self._latency_s = latency_s
 
     def __enter__(self) -> Probe:
-        refused = f"{self._port.port_name} can't be set to {self.setting.baud} baud"
+        refused = f"{self._path} can't be set to {self.setting.baud} baud"
         try:
             self._port.openPort()
         except OverflowError as error:  # pyserial 3.5, of more than 31 bits
