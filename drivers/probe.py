@@ -72,11 +72,11 @@ class Probe:
 
     def __init__(self, port: str, setting: Setting, *, latency_s: float) -> None:
         self.setting = setting
-        self._path, self._port = port, FencedPort(port, setting.baud, None)
+        self._port = FencedPort(port, setting.baud, None)
         self._latency_s = latency_s
 
     def __enter__(self) -> Probe:
-        refused = f"{self._path} can't be set to {self.setting.baud} baud"
+        refused = f"{self._port.path} can't be set to {self.setting.baud} baud"
         try:
             self._port.openPort()
         except OverflowError as error:  # pyserial 3.5, of more than 31 bits

@@ -9,6 +9,7 @@ from drivers.packets import MAX_ID, Status
 from drivers.probe import BaudRefused, Heard, Probe, Setting
 from drivers.serial_ports import DEFAULT_LATENCY_MS
 from drivers.servo_models import MODELS, ServoModel, load_model, model_by_number
+from drivers.status_errors import alarm_bits
 
 ALL_IDS: tuple[int, ...] = tuple(range(MAX_ID + 1))
 FACTORY_BAUDS = (1_000_000, 57_600)  # of AX, and of MX and X (e-manual, Baud Rate)
@@ -18,9 +19,6 @@ SINGLE_PINGS = 32
 PATIENCE = 4.0  # a doubtful id is given so many times the usual time to answer
 ATTEMPTS = 3  # of a question to a servo that is there
 _NUMBER_BYTES = 2
-# Protocol 1.0, error byte: what is about the instruction, not about the servo (e-manual 1.0, Error).
-_INSTRUCTION_BITS_1 = 2 | 8 | 16 | 64
-_ALERT_2 = 0x80
 
 
 @dataclass(frozen=True, slots=True)
@@ -230,9 +228,9 @@ def _register(interview: _Interview, model: ServoModel, name: str) -> int | None
 
 
 def _alarms(interview: _Interview, model: ServoModel, protocol: float) -> tuple[str, ...]:
-    error = 0 if interview.last is None else interview.last.error
-    if protocol == 1.0 and model.hardware_error_register is None:
-        return model.error_names(error & ~_INSTRUCTION_BITS_1)
-    if model.hardware_error_register is None or not error & (_ALERT_2 if protocol == 2.0 else 0xFF):
+    bits = 0 if interview.last is None else alarm_bits(interview.last.error, protocol)
+    if not bits:
         return ()
+    if model.hardware_error_register is None:
+        return model.error_names(bits)
     return model.error_names(_register(interview, model, model.hardware_error_register) or 0) or ("alert",)

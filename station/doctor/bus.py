@@ -6,19 +6,20 @@ import math
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 
-from drivers.arm import JointConfig, ServoConfig
 from drivers.clock import Clock
 from drivers.dynamixel import DynamixelBus
 from drivers.errors import DriverError
+from drivers.joints import JointConfig, ServoConfig
 from drivers.probe import Probe
 from drivers.scan import ATTEMPTS, PATIENCE, Found, identify
+from drivers.servo_settings import LIMITED_MODE, mode_name
 from station.doctor.expectation import Expected, expected_servos, rig_setting
 from station.doctor.finding import Finding, Verdict
 from station.doctor.fixes import STATUS_LEVEL, Change, fix_servo, fix_status_level
 from station.doctor.joints import check_joint
 from station.doctor.servos import Subject, check_presence, check_servo
 from station.formats.rig import RigTable
-from station.rig import joint_configs
+from station.rig import joint_configs, safety_limits
 
 WHERE = "port"
 
@@ -112,7 +113,7 @@ def _subjects(
     for want in expected:
         here = found[want.servo_id]
         if here is not None and here.answers_reads and here.model is not None:
-            subjects.append(Subject(bus, want, *configs[want.servo_id], here.model))
+            subjects.append(Subject(bus, want, *configs[want.servo_id], here.model, safety_limits(table)))
     return subjects
 
 
@@ -140,7 +141,8 @@ def _check_joint(
             continue  # said already; counts of another model mean nothing
         try:
             counts[servo.id] = bus.read(servo.id, "present_position")
-            limits[servo.id] = _limits(bus, servo)
+            if servo.takes_goals and mode_name(bus, servo.id, servo.table) == LIMITED_MODE:
+                limits[servo.id] = _limits(bus, servo)
         except DriverError as error:
             said = f"servo {servo.id} couldn't be asked: {type(error).__name__}"
             findings.append(Finding(f"joint {joint.name}", "position", Verdict.BLOCKS, said, str(error)))
@@ -149,7 +151,7 @@ def _check_joint(
 
 
 def _limits(bus: DynamixelBus, servo: ServoConfig) -> tuple[int, int]:
-    low, high = bus.model(servo.id).position_limit_registers
+    low, high = servo.table.position_limit_registers
     return bus.read(servo.id, low), bus.read(servo.id, high)
 
 

@@ -11,14 +11,12 @@ from pathlib import Path
 from calibration.intrinsics import CameraModel
 from drivers.camera import Camera, Image
 from drivers.clock import Clock, MonotonicClock, VirtualClock
-from drivers.errors import DriverError
 from drivers.exposure import read_exposure_lock
 from drivers.serial_ports import DEFAULT_LATENCY_MS, User, read_latency_ms
 from drivers.webcam import Webcam
 from station.doctor import camera as cameras
 from station.doctor.bus import BusReport, Wire, examine_bus
 from station.doctor.disk import BYTES_PER_PX, check_disk
-from station.doctor.expectation import expected_servos
 from station.doctor.finding import Finding, Verdict, blocks
 from station.doctor.fixes import Change, check_fixes
 from station.doctor.port import System, check_port
@@ -78,10 +76,6 @@ def examine(
     """
     check_fixes(fixes)
     table, _, path = read_rig(rig)
-    try:
-        expected_servos(table)
-    except DriverError as error:
-        raise InvalidFile(f"{path}: {error}") from error
     say("calibration")
     calibration, findings = _calibration(table, path)
     with ExitStack() as stack:

@@ -10,9 +10,6 @@ from drivers.scan import Found
 from drivers.servo_models import ServoModel, load_model
 from station.formats.rig import RigTable
 
-# Of a joint with this ganging the second servo hangs on the first one's sync cable: it isn't on the bus.
-SYNC_CABLE = "sync_cable"
-
 
 @dataclass(frozen=True)
 class Expected:
@@ -44,13 +41,12 @@ class Match:
 
 
 def expected_servos(table: RigTable) -> tuple[Expected, ...]:
-    """The servos on the bus that a rig names; raises DriverError for a model that isn't known."""
+    """The servos that a rig names, in its order; raises DriverError for an unknown model."""
     setting = rig_setting(table)
     return tuple(
         Expected(servo.id, joint.name, load_model(servo.model), setting)
         for joint in table.joint
         for servo in joint.servo
-        if servo.ganging != SYNC_CABLE
     )
 
 

@@ -8,8 +8,9 @@ from dataclasses import dataclass
 from drivers.probe import Probe
 from drivers.scan import Found
 from drivers.servo_models import ServoModel
+from drivers.servo_settings import ALL_STATUS, LIMITED_MODE, POSITION_MODES, mode_name
 from station.doctor.expectation import Expected
-from station.doctor.servos import ALL_STATUS, TIME_BASED, Subject
+from station.doctor.servos import TIME_BASED, Subject
 from station.errors import StationError
 
 STATUS_LEVEL = "status-level"
@@ -100,13 +101,15 @@ def _target(name: str, subject: Subject) -> tuple[str, int, int] | None:
         case "return-delay":
             register, want = "return_delay_time", lambda have: 0
         case "operating-mode" if model.operating_mode_register is not None:
-            register, want = model.operating_mode_register, lambda have: model.operating_modes["position"]
+            register, want = model.operating_mode_register, lambda have: model.operating_modes[LIMITED_MODE]
         case "drive-mode" if TIME_BASED in model.drive_mode_bits.values():
             bit = next(bit for bit, flag in model.drive_mode_bits.items() if flag == TIME_BASED)
             register, want = "drive_mode", lambda have: have & ~(1 << bit)
         case _:
             return None
     before = subject.read(register)
+    if name == "operating-mode" and mode_name(subject.bus, subject.servo.id, model) in POSITION_MODES:
+        return None
     after = want(before)
     return None if after == before else (register, before, after)
 

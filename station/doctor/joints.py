@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
-from drivers.arm import JointConfig, ServoConfig
+from drivers.joints import JointConfig, ServoConfig
 from station.doctor.finding import Finding, Value, Verdict
 
 
@@ -25,7 +25,7 @@ def check_joint(
     asked = [servo for servo in joint.servos if servo.id in counts]
     if not asked:
         return []
-    angles = {servo.id: servo.q_rad(counts[servo.id]) for servo in asked}
+    angles = {servo.id: servo.q(counts[servo.id]) for servo in asked}
     findings = [_check_place(joint, angles, [s for s in asked if _outside(counts[s.id], servo_limits.get(s.id))])]
     if len(angles) > 1:
         findings.append(_check_agreement(joint, angles, disagreement_rad))
@@ -38,16 +38,20 @@ def _outside(count: int, limits: tuple[int, int] | None) -> bool:
 
 def _check_place(joint: JointConfig, angles: Mapping[int, float], outside: list[ServoConfig]) -> Finding:
     where = f"joint {joint.name}"
-    q_deg = math.degrees(sum(angles.values()) / len(angles))
-    low_deg, high_deg = math.degrees(joint.lower_rad), math.degrees(joint.upper_rad)
-    values: dict[str, Value] = {"q_deg": q_deg, "lower_deg": low_deg, "upper_deg": high_deg}
-    said = f"{q_deg:.1f} deg"
+    q = sum(angles.values()) / len(angles)
+    unit, each = ("deg", math.degrees(1.0)) if joint.unit == "rad" else ("mm", 1e3)
+    values: dict[str, Value] = {
+        f"q_{unit}": q * each,
+        f"lower_{unit}": joint.lower * each,
+        f"upper_{unit}": joint.upper * each,
+    }
+    said = joint.text(q)
     if outside:
         found = f"{said}: servo {outside[0].id} is outside its own position limits"
         mend = "move the joint inside by hand with torque off; else its zero is lost: check 'zero' in the rig"
         return Finding(where, "position", Verdict.BLOCKS, found, mend, values)
-    if not low_deg <= q_deg <= high_deg:
-        found = f"{said}, the rig's limits are {low_deg:g} to {high_deg:g} deg"
+    if not joint.lower <= q <= joint.upper:
+        found = f"{said}, the rig's limits are {joint.text(joint.lower)} to {joint.text(joint.upper)}"
         mend = "move the joint inside by hand; if it looks inside, correct 'zero' or 'sign' in the rig"
         return Finding(where, "position", Verdict.WARNING, found, mend, values)
     return Finding(where, "position", Verdict.OK, said, values=values, brief=f"at {said}")
@@ -55,11 +59,11 @@ def _check_place(joint: JointConfig, angles: Mapping[int, float], outside: list[
 
 def _check_agreement(joint: JointConfig, angles: Mapping[int, float], disagreement_rad: float) -> Finding:
     where = f"joint {joint.name}"
-    spread_rad = max(angles.values()) - min(angles.values())
+    spread_rad = (max(angles.values()) - min(angles.values())) * joint.servos[0].ratio  # of the shafts
     limit_deg = math.degrees(disagreement_rad)
     values: dict[str, Value] = {"disagreement_deg": math.degrees(spread_rad), "limit_deg": limit_deg}
-    each = ", ".join(f"servo {servo_id} at {math.degrees(q):.1f} deg" for servo_id, q in angles.items())
+    each = ", ".join(f"servo {servo_id} at {joint.text(q)}" for servo_id, q in angles.items())
     if spread_rad <= disagreement_rad:
         return Finding(where, "ganged servos", Verdict.OK, f"they agree: {each}", values=values)
     mend = "torque would make them fight: check 'sign' and 'zero' of both in the rig, and the horns"
-    return Finding(where, "ganged servos", Verdict.BLOCKS, f"{each} (limit {limit_deg:g})", mend, values)
+    return Finding(where, "ganged servos", Verdict.BLOCKS, f"{each} (limit {limit_deg:g} deg)", mend, values)

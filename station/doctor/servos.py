@@ -5,17 +5,18 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
-from drivers.arm import JointConfig, ServoConfig
 from drivers.dynamixel import DynamixelBus
 from drivers.errors import DriverError
+from drivers.joints import JointConfig, ServoConfig
+from drivers.safety import TEMPERATURE_MARGIN_C, SafetyLimits
 from drivers.scan import Found
 from drivers.servo_models import ServoModel
+from drivers.servo_settings import ALL_STATUS, LIMITED_MODE, POSITION_MODES, following, mode_name
 from station.doctor.expectation import Expected
 from station.doctor.finding import Finding, Value, Verdict
 
-ALL_STATUS = 2  # Status Return Level: every instruction is answered
-TIME_BASED = "time_based_profile"
-# degC under the servo's own limit: a motion warms it, and at the limit it shuts down.
+TIME_BASED, REVERSE = "time_based_profile", "reverse"  # flags of the drive mode
+# degC under the limit of a capture: a motion warms a servo by more than that in minutes.
 WARM_MARGIN_C = 10.0
 
 
@@ -28,6 +29,7 @@ class Subject:
     joint: JointConfig
     servo: ServoConfig
     model: ServoModel
+    safety: SafetyLimits
 
     def read(self, register: str) -> int:
         """A register's value; raises DriverError."""
@@ -114,12 +116,14 @@ def check_servo(subject: Subject) -> list[Finding]:
 
 def _voltage(subject: Subject) -> Finding:
     volts = subject.read_physical(subject.model.voltage_register)
-    low, high = (subject.read_physical(f"{end}_voltage_limit") for end in ("min", "max"))
+    low, high = subject.safety.min_voltage_v, subject.safety.max_voltage_v
+    low = subject.read_physical("min_voltage_limit") if low is None else low
+    high = subject.read_physical("max_voltage_limit") if high is None else high
     least, most = subject.model.supply_v
     values = {"voltage_v": volts, "min_voltage_limit_v": low, "max_voltage_limit_v": high}
     said = f"{volts:.1f} V"
     if not low <= volts <= high:
-        found = f"{said}; it shuts down outside {low:.1f} to {high:.1f} V"
+        found = f"{said}; the limits are {low:.1f} to {high:.1f} V"
         return subject.finding("voltage", Verdict.BLOCKS, found, _supply(least, most), values)
     if not least <= volts <= most:
         found = f"{said}; the manual has {least:g} to {most:g} V"
@@ -132,14 +136,16 @@ def _supply(least: float, most: float) -> str:
 
 
 def _temperature(subject: Subject) -> Finding:
-    warm, limit = (subject.read_physical(name) for name in ("present_temperature", "temperature_limit"))
-    values = {"temperature_degc": warm, "temperature_limit_degc": limit}
+    warm, limit = subject.read_physical("present_temperature"), subject.safety.max_temperature_c
+    if limit is None:
+        limit = subject.read_physical("temperature_limit") - TEMPERATURE_MARGIN_C
+    values = {"temperature_degc": warm, "limit_degc": limit}
     said = f"{warm:.0f} °C"
     if warm < limit - WARM_MARGIN_C:
         return subject.finding("temperature", Verdict.OK, said, values=values, brief=said)
-    verdict = Verdict.BLOCKS if warm >= limit else Verdict.WARNING
+    verdict = Verdict.BLOCKS if warm > limit else Verdict.WARNING
     mend = "let it cool with torque off; relieve the load, lower the speed"
-    return subject.finding("temperature", verdict, f"{said}; it shuts down at {limit:.0f} °C", mend, values)
+    return subject.finding("temperature", verdict, f"{said}; a capture stops at {limit:.0f} °C", mend, values)
 
 
 def _alarms(subject: Subject) -> Finding:
@@ -178,21 +184,17 @@ def _status_level(subject: Subject) -> Finding:
 
 
 def _operating_mode(subject: Subject) -> Finding:
-    model = subject.model
-    if model.operating_mode_register is None:
-        low, high = (subject.read(name) for name in model.position_limit_registers)
-        if (low, high) == (0, 0):  # e-manual 1.0, CW/CCW Angle Limit: both 0 are wheel mode
-            mend = f"set {' and '.join(model.position_limit_registers)} to the joint's range"
-            found = "wheel mode: both angle limits are 0"
-            return subject.finding("operating mode", Verdict.BLOCKS, found, mend, {"operating_mode": "wheel"})
-        return subject.finding("operating mode", Verdict.OK, "position", values={"operating_mode": "position"})
-    number = subject.read(model.operating_mode_register)
-    name = next((name for name, code in model.operating_modes.items() if code == number), f"mode {number}")
-    values = {"operating_mode": name, "operating_mode_number": number}
-    if name == "position":
-        return subject.finding("operating mode", Verdict.OK, name, values=values)
-    mend = "it must be position control: run this again with --fix operating-mode"
-    return subject.finding("operating mode", Verdict.BLOCKS, name, mend, values)
+    name = mode_name(subject.bus, subject.servo.id, subject.model)
+    values = {"operating_mode": name}
+    said = name.replace("_", " ")
+    if name in POSITION_MODES:
+        return subject.finding("operating mode", Verdict.OK, said, values=values)
+    if subject.model.operating_mode_register is None:
+        limits = " and ".join(subject.model.position_limit_registers)
+        said, mend = "wheel: both its angle limits are 0", f"set {limits} to the joint's range"
+    else:
+        mend = "it must be position control: run this again with --fix operating-mode"
+    return subject.finding("operating mode", Verdict.BLOCKS, said, mend, values)
 
 
 def _drive_mode(subject: Subject) -> Finding | None:
@@ -202,24 +204,41 @@ def _drive_mode(subject: Subject) -> Finding | None:
     names = [name for bit, name in subject.model.drive_mode_bits.items() if bits >> bit & 1]
     values: dict[str, Value] = {"drive_mode": bits, "drive_mode_flags": [*names]}
     said = ", ".join(names).replace("_", " ") or "none of its flags is set"
-    if TIME_BASED not in names:
-        return subject.finding("drive mode", Verdict.OK, said, values=values)
-    mend = "with it profile velocity and acceleration are times: run this again with --fix drive-mode"
-    return subject.finding("drive mode", Verdict.BLOCKS, said, mend, values)
+    if TIME_BASED in names:
+        mend = "with it profile velocity and acceleration are times: run this again with --fix drive-mode"
+        return subject.finding("drive mode", Verdict.BLOCKS, said, mend, values)
+    if subject.servo.reversed not in (None, REVERSE in names):
+        want = "set" if subject.servo.reversed else "clear"
+        mend = f"{want} the reverse bit (0) of its drive mode, or correct 'reversed' in the rig"
+        return subject.finding("drive mode", Verdict.BLOCKS, f"{said}; the rig wants reverse {want}", mend, values)
+    return subject.finding("drive mode", Verdict.OK, said, values=values)
+
+
+def _following(subject: Subject) -> Finding:
+    complaints = list(following(subject.bus, subject.joint, subject.servo, subject.model))
+    leader = subject.joint.servos[0].id
+    values: dict[str, Value] = {"ganging": subject.servo.ganging, "leader_id": leader}
+    if not complaints:
+        said = f"follows servo {leader} by {subject.servo.ganging}" if subject.servo.ganging else "follows none"
+        return subject.finding("follows", Verdict.OK, said, values=values)
+    found, _, mend = complaints[0].partition("; ")
+    return subject.finding("follows", Verdict.BLOCKS, f"it {found}", mend or found, values)
 
 
 def _position_limits(subject: Subject) -> Finding | None:
     if subject.model.model_number != subject.expected.model.model_number:
         return None  # counts of another model mean nothing
+    if not subject.servo.takes_goals or mode_name(subject.bus, subject.servo.id, subject.model) != LIMITED_MODE:
+        return None  # no goals are sent to it, or its limits don't bind it
     low, high = (subject.read(name) for name in subject.model.position_limit_registers)
     joint, servo = subject.joint, subject.servo
-    want_low, want_high = sorted(servo.count(q_rad) for q_rad in (joint.lower_rad, joint.upper_rad))
+    want_low, want_high = sorted(servo.count(q) for q in (joint.lower, joint.upper))
     values = {"low_count": low, "high_count": high, "rig_low_count": want_low, "rig_high_count": want_high}
     if low <= want_low and want_high <= high:
         said = f"counts {low} to {high} hold the rig's {want_low} to {want_high}"
         return subject.finding("position limits", Verdict.OK, said, values=values)
     found = f"counts {low} to {high}, the rig's limits need {want_low} to {want_high}"
-    mend = "narrow limits_deg of the joint in the rig, or widen the servo's own position limits"
+    mend = "narrow the joint's limits in the rig, or widen the servo's own position limits"
     return subject.finding("position limits", Verdict.BLOCKS, found, mend, values)
 
 
@@ -231,5 +250,6 @@ CHECKS: dict[str, Callable[[Subject], Finding | None]] = {
     "status return level": _status_level,
     "operating mode": _operating_mode,
     "drive mode": _drive_mode,
+    "follows": _following,
     "position limits": _position_limits,
 }
