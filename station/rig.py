@@ -25,7 +25,6 @@ from drivers.errors import DriverError
 from drivers.joints import JointConfig, ServoConfig
 from drivers.rendered_camera import RenderedCamera
 from drivers.safety import SafetyLimits
-from drivers.servo_models import load_model
 from drivers.webcam import Webcam
 from station.errors import InvalidData, InvalidFile
 from station.formats.rig import (
@@ -82,14 +81,12 @@ def packaged_names(kind: str) -> list[str]:
 
 
 def read_rig(name_or_path: str) -> tuple[RigTable, str, Path]:
-    """A rig's table, text and file, its calibration not looked at; raises InvalidFile, also for servos that can't be."""
+    """A rig's table, text and file, its calibration not looked at; raises InvalidFile."""
     path = packaged("rigs", name_or_path)
     text = read_text(path, "rig", f"packaged ones are {', '.join(packaged_names('rigs'))}")
     table = parse_rig(text, str(path))
     try:
-        for joint in joint_configs(table):
-            for servo in joint.servos:
-                load_model(servo.model)
+        joint_configs(table)
     except DriverError as error:
         raise InvalidFile(f"{path}: {error}") from error
     return table, text, path

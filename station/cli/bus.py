@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     from drivers.probe import Setting
     from drivers.scan import Found
     from station.doctor.expectation import Match
-    from station.formats.rig import RigTable
 
 
 @app.command()
@@ -42,15 +41,14 @@ def scan(
 
     Nothing is written to a servo. Exit code 1 if nothing is found, or a servo isn't there as the rig says.
     """
-    from station.doctor.expectation import expected_servos, match_found
+    from station.doctor.expectation import match_found, read_expected
     from station.doctor.scanning import choose_settings, open_wire, parse_ids
     from station.errors import StationError
 
     if any(version not in (1.0, 2.0) for version in protocol or []):
         raise StationError(f"protocol {protocol}: want 1.0 or 2.0")
-    rig_table = None if rig is None else _read_rig(rig)
+    rig_table, _, expected = (None, None, ()) if rig is None else read_expected(rig)
     settings, chosen = choose_settings(baud or [], protocol or [], rig_table), parse_ids(ids)
-    expected = () if rig_table is None else expected_servos(rig_table)
     found: list[Found] = []
     with open_wire(port, rig_table) as (path, latency_s):
         try:
@@ -63,12 +61,6 @@ def scan(
     _show_scan(path, matches, rig is not None, as_json, narrowed=narrowed)
     if not found or any(match.verdict not in ("as expected", "unexpected") for match in matches):
         raise typer.Exit(1)
-
-
-def _read_rig(name: str) -> RigTable:
-    from station.rig import read_rig
-
-    return read_rig(name)[0]
 
 
 def _scan_into(

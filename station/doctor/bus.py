@@ -62,8 +62,8 @@ def examine_bus(wire: Wire, table: RigTable, rig: str, fixes: Collection[str] = 
             for joint in joint_configs(table):
                 report.findings += _check_joint(bus, joint, table, found)
     except DriverError as error:  # the port itself: servos that fail are findings
-        first, *rest = str(error).split("; ", 1)
-        report.findings.append(Finding(WHERE, "opens", Verdict.BLOCKS, first, rest[0] if rest else ""))
+        found = f"the servos couldn't be asked: {type(error).__name__}"
+        report.findings.append(Finding(WHERE, "opens", Verdict.BLOCKS, found, str(error)))
     report.findings.sort(key=lambda finding: _place(finding, expected))
     return report
 

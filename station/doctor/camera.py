@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from drivers.camera import Camera, Image
 from drivers.clock import Clock
-from drivers.errors import CameraError
+from drivers.errors import CameraError, CameraStalled, NoCamera
 from station.doctor.finding import Finding, Value, Verdict
 
 WHERE = "camera"
@@ -15,6 +15,7 @@ MEASURED_S = 2.0
 FIRST_FRAME_S = 5.0  # a webcam may take seconds to give its first frame
 # Of the nominal rate. Webcams in dim light drop to half of it or less; jitter over two seconds is far below this.
 GOOD_RATE = 0.9
+SAID = {NoCamera: "it can't be opened", CameraStalled: "it stopped giving frames"}
 
 
 @dataclass(frozen=True)
@@ -35,9 +36,8 @@ def watch_camera(camera: Camera, clock: Clock, *, fps: float) -> Watched:
         camera.start()
         return _measured(camera, clock, fps)
     except CameraError as error:
-        first, *rest = str(error).splitlines()
-        mend = "\n".join(rest) or "check its cable, 'source' and 'size_px' in the rig, and that no program uses it"
-        return Watched([Finding(WHERE, "opens", Verdict.BLOCKS, first, mend)], None)
+        found = SAID.get(type(error), "it can't be used")
+        return Watched([Finding(WHERE, "opens", Verdict.BLOCKS, found, str(error))], None)
     finally:
         camera.close()
 

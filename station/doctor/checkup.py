@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from calibration.intrinsics import CameraModel
-from drivers.camera import Camera, Image
+from drivers.camera import Camera
 from drivers.clock import Clock, MonotonicClock, VirtualClock
 from drivers.exposure import read_exposure_lock
 from drivers.serial_ports import DEFAULT_LATENCY_MS, User, read_latency_ms
@@ -17,17 +17,18 @@ from drivers.webcam import Webcam
 from station.doctor import camera as cameras
 from station.doctor.bus import BusReport, Wire, examine_bus
 from station.doctor.disk import BYTES_PER_PX, check_disk
+from station.doctor.expectation import read_expected
 from station.doctor.finding import Finding, Verdict, blocks
 from station.doctor.fixes import Change, check_fixes
 from station.doctor.port import System, check_port
 from station.errors import InvalidFile
 from station.formats.rig import EMULATED, RENDERED, RigTable, load_calibration
 from station.formats.simulation import SimulationTable
+from station.perception.jpeg import encode_jpeg
 from station.rig import (
     VIRTUAL_REPLY_TIMEOUT_S,
     EmulatedArm,
     frame_size,
-    read_rig,
     rendered_camera,
 )
 from station.stage import Stage
@@ -75,7 +76,7 @@ def examine(
         StationError: the rig can't be read, or a fix isn't known.
     """
     check_fixes(fixes)
-    table, _, path = read_rig(rig)
+    table, path, _ = read_expected(rig)
     say("calibration")
     calibration, findings = _calibration(table, path)
     with ExitStack() as stack:
@@ -89,7 +90,7 @@ def examine(
     findings += watched.findings
     folder = folder or Path.cwd()
     width, height = frame_size(table)
-    frame_bytes = BYTES_PER_PX * width * height if watched.image is None else _jpeg_bytes(watched.image)
+    frame_bytes = BYTES_PER_PX * width * height if watched.image is None else len(encode_jpeg(watched.image))
     findings.append(check_disk(folder, shutil.disk_usage(folder).free, frame_bytes, table.camera.fps))
     order = ("port", "servos", "servo", "joint", "camera", "calibration", "disk")
     findings.sort(key=lambda finding: order.index(finding.where.split()[0]))
@@ -168,16 +169,9 @@ def _calibration(table: RigTable, path: Path) -> tuple[CameraModel | None, list[
     try:
         calibration = load_calibration(table, path.parent, str(path))
     except InvalidFile as error:
-        first, *rest = str(error).splitlines()
-        return None, [Finding("calibration", "fits", Verdict.BLOCKS, first, "\n".join(rest) or first)]
+        found = "there is none that fits the frames"
+        return None, [Finding("calibration", "fits", Verdict.BLOCKS, found, str(error))]
     width, height = calibration.size_px
     said = f"for frames of {width}x{height} px"
     values = {"size_px": f"{width}x{height}", "rms_px": calibration.rms_px}
     return calibration, [Finding("calibration", "fits", Verdict.OK, said, values=values, brief=said)]
-
-
-def _jpeg_bytes(image: Image) -> int:
-    """What a frame takes in a recording."""
-    from station.recording.writer import encode_frame
-
-    return len(encode_frame(image))

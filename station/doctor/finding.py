@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 
 MOST_PLACES = 3  # that one line names
+TABLE_COLUMNS, BETWEEN_COLUMNS = 100, 8  # of a terminal; of the gaps of a table of three columns
 
 Value = float | int | str | bool | list[str] | None
 
@@ -56,6 +57,7 @@ def summary_rows(findings: Iterable[Finding]) -> list[list[str]]:
     places: dict[str, list[Finding]] = {}
     for finding in findings:
         places.setdefault(finding.where, []).append(finding)
+    room = TABLE_COLUMNS - BETWEEN_COLUMNS - len(Verdict.WARNING) - max(map(len, places), default=0)
     rows = [["where", "verdict", "found"]]
     for where, here in places.items():
         well = [finding for finding in here if finding.verdict is Verdict.OK]
@@ -63,9 +65,16 @@ def summary_rows(findings: Iterable[Finding]) -> list[list[str]]:
             briefs = [finding.brief for finding in well if finding.brief]
             others = len(well) - len(briefs)
             count = [f"{others} {'more ' if briefs else ''}check{'s' if others > 1 else ''} passed"] if others else []
-            rows.append([where, Verdict.OK.value, ", ".join(briefs + count)])
-        rows += [[where, f.verdict.value, f"{f.check}: {f.found}"] for f in here if f.verdict is not Verdict.OK]
+            rows.append([where, Verdict.OK.value, _cut(", ".join(briefs + count), room)])
+        rows += [
+            [where, f.verdict.value, _cut(f"{f.check}: {f.found}", room)] for f in here if f.verdict is not Verdict.OK
+        ]
     return rows
+
+
+def _cut(text: str, room: int) -> str:
+    """The text as far as it fits on one line; JSON and the mends have all of it."""
+    return text if len(text) <= room else text[: room - 1] + "…"
 
 
 def mends(findings: Iterable[Finding]) -> list[str]:

@@ -188,7 +188,7 @@ def _explain_one(match: Match, unexpected: Sequence[Found]) -> list[str]:
     if match.verdict == "missing":
         twins = [other for other in unexpected if other.model_number == want.model.model_number]
         if twins:
-            said = f"{want.where} is missing, and a {want.model.name} that the rig doesn't name has id"
+            said = f"{want.where} is missing, and an {want.model.name} that the rig doesn't name has id"
             lines.append(f"{said} {twins[0].servo_id}: if that is it, give it id {want.servo_id}")
     elif match.verdict == "wrong model":
         lines.append(f"{want.where}: correct its model or id in the rig, or swap the servos")

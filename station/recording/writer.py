@@ -63,7 +63,6 @@ if TYPE_CHECKING:
     from rerun.blueprint import Blueprint
 
 EVENT_LEVELS = ("INFO", "WARN", "ERROR")
-JPEG_QUALITY = 92
 # Between two flushes, s of the wall clock: a kill loses at most this much.
 FLUSH_PERIOD_S = 1.0
 # A flush that takes longer means that the disk or the viewer takes nothing any more, s.
@@ -124,16 +123,13 @@ def _shape(values: ArrayLike, shape: tuple[int, ...], what: str) -> FloatArray:
     return array
 
 
-def encode_frame(image: bytes | NDArray[np.uint8]) -> bytes:
+def _encoded(image: bytes | NDArray[np.uint8]) -> bytes:
     """The JPEG of a BGR (H, W, 3) or grey (H, W) image; bytes are a JPEG already."""
     if isinstance(image, bytes):
         return image
-    import cv2
+    from station.perception.jpeg import encode_jpeg
 
-    done, jpeg = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
-    if not done:
-        raise InvalidData(f"an image of shape {image.shape}, {image.dtype} can't be encoded; want (H, W, 3) uint8")
-    return jpeg.tobytes()
+    return encode_jpeg(image)
 
 
 class RecordingWriter:
@@ -265,7 +261,7 @@ class RecordingWriter:
             T_cam_marker=pa.array(poses.ravel()),
             rms_px=pa.array(rms.ravel()),
         )
-        jpeg = rr.EncodedImage(contents=encode_frame(image), media_type="image/jpeg")
+        jpeg = rr.EncodedImage(contents=_encoded(image), media_type="image/jpeg")
         self._log(t_ns, OBSERVATIONS, observed, frame=index)
         self._log(t_ns, IMAGE, jpeg, frame=index)
         self._log(t_ns, OVERLAY, *scene.outlines(self._markers, ids, corners), frame=index)
