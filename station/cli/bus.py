@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 @app.command()
 def scan(
     port: Annotated[
-        str | None, typer.Argument(metavar="[PORT]", help="Serial port; the rig's if left out.", show_default=False)
+        str | None, typer.Argument(metavar="PORT", help="Serial port; the rig's if left out.", show_default=False)
     ] = None,
     baud: Annotated[
         list[int] | None, typer.Option("--baud", help="Baud to try; may be repeated. All that known models have.")
@@ -130,7 +130,8 @@ def doctor(
     else:
         verdicts = [finding.verdict for finding in checkup.findings]
         blocking, doubtful = verdicts.count(Verdict.BLOCKS), verdicts.count(Verdict.WARNING)
-        table(f"{rig}: {blocking} block a capture, {doubtful} warnings", summary_rows(checkup.findings))
+        said = f"{blocking or 'nothing'} {'block' if blocking > 1 else 'blocks'} a capture"
+        table(f"{rig}: {said}, {doubtful} warnings", summary_rows(checkup.findings))
         for change in checkup.changes:
             print(f"{'mended' if change.done else 'NOT mended'}  {change.where}: {change.said}")
         if lines := mends(checkup.findings):

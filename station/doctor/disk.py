@@ -10,11 +10,11 @@ WHERE = "disk"
 MB = 1e6
 # A session should leave room for some more; under a minute there is none for one.
 COMFORTABLE_MIN, LEAST_MIN = 10.0, 1.0
-# Bytes of a frame a pixel, where no frame could be had to measure: the demo's frames at the recording's JPEG quality
-# take 0.2 to 0.3, a cluttered room more.
-BYTES_PER_PX = 0.4
-# Joint states, marker observations and poses: the demo's recording without its frames, rounded up.
-OTHER_BYTES_PER_S = 50e3
+# Bytes of a frame a pixel, where no frame could be had to measure: the demo's frames take 0.13 at the recording's JPEG
+# quality; a room with more in it is taken to need twice as much and more (not measured).
+BYTES_PER_PX = 0.3
+# Joint states, marker observations and poses: the demo's recording (39.2 MB in 29.6 s) without its frames.
+OTHER_BYTES_PER_S = 150e3
 
 
 def check_disk(folder: Path, free_bytes: int, frame_bytes: float, fps: float) -> Finding:
