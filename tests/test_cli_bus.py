@@ -49,7 +49,7 @@ def station(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch)
 @contextmanager
 def ax_bus(*ids: int, model: str = "AX-18A") -> Iterator[EmulatedBus]:
     servos = [EmulatedServo(id, model) for id in ids]
-    with EmulatedBus(servos, protocol=1.0, baud=1_000_000, clock=VirtualClock()) as bus:
+    with EmulatedBus(servos, baud=1_000_000, clock=VirtualClock()) as bus:
         yield bus
 
 
@@ -89,7 +89,7 @@ def test_scan_holds_what_is_there_against_the_rig(station, tmp_path: Path):
 
 def test_scan_says_at_which_baud_an_expected_servo_is(station, tmp_path: Path):
     servos = [EmulatedServo(id, "AX-18A") for id in (1, 2, 3)]
-    with EmulatedBus(servos, protocol=1.0, baud=1_000_000, clock=VirtualClock()) as bus:
+    with EmulatedBus(servos, baud=1_000_000, clock=VirtualClock()) as bus:
         servos[1].set("baud_rate", 34)
         narrow = (*NARROW, "--baud", "57600")
         code, out, err = station("scan", "--rig", write_rig(tmp_path, bus.path), *narrow)
@@ -130,7 +130,7 @@ def test_a_baud_that_no_model_has_can_be_asked_for():
 def test_an_interrupted_scan_shows_what_it_found_and_frees_the_port():
     servos = [EmulatedServo(id, "AX-18A") for id in (1, 2)]
     environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parent.parent)}
-    with EmulatedBus(servos, protocol=1.0, baud=1_000_000, clock=MonotonicClock()) as bus:
+    with EmulatedBus(servos, baud=1_000_000, clock=MonotonicClock()) as bus:
         arguments = [sys.executable, "-c", CODE, "scan", bus.path, "--protocol", "1.0"]
         with subprocess.Popen(
             arguments, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment
@@ -172,7 +172,7 @@ def test_doctor_tells_all_as_json(station):
 
 def test_doctor_mends_what_is_named(station, tmp_path: Path):
     servos = [EmulatedServo(id, "AX-18A") for id in (1, 2, 3)]
-    with EmulatedBus(servos, protocol=1.0, baud=1_000_000, clock=VirtualClock()) as bus:
+    with EmulatedBus(servos, baud=1_000_000, clock=VirtualClock()) as bus:
         _, out, _ = station("doctor", write_rig(tmp_path, bus.path), "--fix", "return-delay")
         assert [servo.get("return_delay_time") for servo in servos] == [0, 0, 0]
     assert out.count("'return_delay_time' was 250, it reads 0 now") == 3

@@ -93,7 +93,7 @@ def bench(
         id: EmulatedServo(id, (models or {}).get(id, model), initial_count=(counts or {}).get(id), **physical)
         for id in ids
     }
-    bus = EmulatedBus([*servos.values()], protocol=protocol, baud=1_000_000, clock=clock, alter_reply=alter_reply)
+    bus = EmulatedBus([*servos.values()], baud=1_000_000, clock=clock, alter_reply=alter_reply)
     for servo in servos.values():
         servo.set("return_delay_time", 0)
     with bus:

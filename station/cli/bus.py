@@ -1,16 +1,20 @@
-"""The servo bus: what is on it, and whether a rig is fit for use."""
+"""The servo bus: what is on it, whether a rig is fit for use, and an emulated one for other programs."""
 
 from __future__ import annotations
 
 import json
+import signal
 from collections.abc import Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from station.cli.app import app
-from station.cli.options import Json, RigArgument, Simulate
+from station.cli.options import Json, RigArgument, Seed, Simulate
 from station.cli.show import progress, say_next, table, warn
+
+FAULTS_HELP = "What goes wrong when, such as mute:3@2+1; may be repeated. docs/emulator.md lists them."
 
 if TYPE_CHECKING:
     from drivers.probe import Setting
@@ -41,13 +45,15 @@ def scan(
 
     Nothing is written to a servo. Exit code 1 if nothing is found, or a servo isn't there as the rig says.
     """
-    from station.doctor.expectation import match_found, read_expected
+    from station.doctor.expectation import expected_servos, match_found
     from station.doctor.scanning import choose_settings, open_wire, parse_ids
     from station.errors import StationError
+    from station.rig_reading import read_rig
 
     if any(version not in (1.0, 2.0) for version in protocol or []):
         raise StationError(f"protocol {protocol}: want 1.0 or 2.0")
-    rig_table, _, expected = (None, None, ()) if rig is None else read_expected(rig)
+    rig_table = None if rig is None else read_rig(rig)[0]
+    expected = () if rig_table is None else expected_servos(rig_table)
     settings, chosen = choose_settings(baud or [], protocol or [], rig_table), parse_ids(ids)
     found: list[Found] = []
     with open_wire(port, rig_table) as (path, latency_s):
@@ -138,3 +144,26 @@ def doctor(
             say_next("to mend:", *("- " + line.replace("\n", "\n  ") for line in lines))
     if not checkup.passed:
         raise typer.Exit(1)
+
+
+@app.command()
+def emulate(
+    rig: RigArgument,
+    faults: Annotated[list[str] | None, typer.Option("--faults", metavar="SPEC", help=FAULTS_HELP)] = None,
+    link: Annotated[
+        Path | None, typer.Option("--link", help="Path of the device; must be free.", show_default=False)
+    ] = None,
+    seed: Seed = None,
+) -> None:
+    """Put a rig's servos on a pseudo-terminal, for any other program.
+
+    The first line of standard output is the device's path. Runs until it is stopped with Ctrl-C or SIGTERM.
+    """
+    from station.emulation import emulate as open_emulation
+
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background job has it ignored
+    specs = [spec for group in faults or [] for spec in group.split()]
+    with open_emulation(rig, faults=specs, link=link, seed=seed) as arm:
+        print(arm.path, flush=True)
+        say_next(f"{rig}: {arm.summary()}; stop it with Ctrl-C")
+        arm.wait()

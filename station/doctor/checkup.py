@@ -17,7 +17,6 @@ from drivers.webcam import Webcam
 from station.doctor import camera as cameras
 from station.doctor.bus import BusReport, Wire, examine_bus
 from station.doctor.disk import BYTES_PER_PX, check_disk
-from station.doctor.expectation import read_expected
 from station.doctor.finding import Finding, Verdict, blocks
 from station.doctor.fixes import Change, check_fixes
 from station.doctor.port import System, check_port
@@ -26,10 +25,11 @@ from station.formats.rig import EMULATED, RENDERED, RigTable, load_calibration
 from station.formats.simulation import SimulationTable
 from station.perception.jpeg import encode_jpeg
 from station.rig import (
-    VIRTUAL_REPLY_TIMEOUT_S,
     EmulatedArm,
     frame_size,
+    read_rig,
     rendered_camera,
+    virtual_reply_timeout_s,
 )
 from station.stage import Stage
 
@@ -76,7 +76,7 @@ def examine(
         StationError: the rig can't be read, or a fix isn't known.
     """
     check_fixes(fixes)
-    table, path, _ = read_expected(rig)
+    table, _, path = read_rig(rig)
     say("calibration")
     calibration, findings = _calibration(table, path)
     with ExitStack() as stack:
@@ -108,7 +108,7 @@ class _Bench:
             raise InvalidFile(f"{rig} has no [simulation]: it can't run without its hardware")
         virtual = self._emulated and self._rendered
         self._clock: Clock = VirtualClock() if virtual else MonotonicClock()
-        self._timeout_s = VIRTUAL_REPLY_TIMEOUT_S if virtual else None
+        self._timeout_s = virtual_reply_timeout_s(table.simulation) if virtual else None
         self._arm: EmulatedArm | None = None
         if self._emulated and table.simulation is not None:
             self._arm = EmulatedArm(table, table.simulation, self._clock)

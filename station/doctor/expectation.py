@@ -4,15 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
-from drivers.errors import DriverError
 from drivers.probe import Setting
 from drivers.scan import Found
 from drivers.servo_models import ServoModel, load_model
-from station.errors import InvalidFile
 from station.formats.rig import RigTable
-from station.rig import read_rig
 
 
 @dataclass(frozen=True)
@@ -42,15 +38,6 @@ class Match:
     verdict: str
     expected: Expected | None
     found: Found | None
-
-
-def read_expected(rig: str) -> tuple[RigTable, Path, tuple[Expected, ...]]:
-    """A rig's table, its file, and its servos; raises InvalidFile, for servos of unknown models as well."""
-    table, _, path = read_rig(rig)
-    try:
-        return table, path, expected_servos(table)
-    except DriverError as error:
-        raise InvalidFile(f"{path}: {error}") from error
 
 
 def expected_servos(table: RigTable) -> tuple[Expected, ...]:

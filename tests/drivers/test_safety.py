@@ -58,7 +58,7 @@ def test_a_servo_is_stopped_five_degrees_before_it_stops_itself() -> None:
 def test_a_voltage_must_stay_wrong_to_count() -> None:
     assert "gets 8.9 V; wants 9.0 to 12.0 V" in lasting(watch(), voltage_v=8.9)
     assert "gets 12.1 V" in lasting(watch(), voltage_v=12.1)
-    assert "wants 11.5 to 12.0 V" in lasting(watch(min_voltage_v=11.5), voltage_v=11.2)
+    assert "wants 10.5 to 12.0 V" in lasting(watch(min_voltage_v=10.5), voltage_v=10.2)
     dips = watch()
     for k in range(20):  # a dip each time a motor starts
         look(dips, 0.2 * k, voltage_v=8.0 if k % 2 else 11.0)

@@ -26,9 +26,7 @@ BOTH = pytest.mark.parametrize(("model", "setting"), [("AX-18A", AX), ("XM430-W3
 def wire(
     servos: Sequence[EmulatedServo], setting: Setting, alter_reply: AlterReply | None = None
 ) -> Iterator[EmulatedBus]:
-    with EmulatedBus(
-        servos, protocol=setting.protocol, baud=setting.baud, clock=VirtualClock(), alter_reply=alter_reply
-    ) as bus:
+    with EmulatedBus(servos, baud=setting.baud, clock=VirtualClock(), alter_reply=alter_reply) as bus:
         yield bus
 
 
