@@ -22,7 +22,7 @@ from tests.benchmarks import packet_fuzz
 from tests.benchmarks.packet_fuzz import TRICKY, TimedBytes
 
 STRINGS = 4000
-BABBLE_S = 1.0  # how long the emulated bus is babbled at
+BABBLE = 10_000  # strings that the emulated bus is sent: of the order of a second
 ANSWER_S = 5.0  # an answer takes microseconds; a stalled machine must not fail the test
 BAUD = 1_000_000
 BOTH = pytest.mark.parametrize("protocol", [1.0, 2.0])
@@ -80,14 +80,11 @@ class Babbler:
     def __init__(self, bus: EmulatedBus) -> None:
         self.port = serial.Serial(bus.path, BAUD, timeout=0, write_timeout=ANSWER_S)
 
-    def babble(self, rng: Random) -> int:
-        """Send strings for BABBLE_S; how many they were."""
-        sent, until_s = 0, time.monotonic() + BABBLE_S
-        while time.monotonic() < until_s:
+    def babble(self, rng: Random) -> None:
+        """Send BABBLE strings, as fast as the bus takes them."""
+        for _ in range(BABBLE):
             self.port.write(rng.choice((packet_fuzz.noise, packet_fuzz.mixed, packet_fuzz.mutated))(rng))
             self.port.read(4096)
-            sent += 1
-        return sent
 
     def answers(self, servo_ids: set[int], protocol: float) -> bool:
         """Whether one of the servos answers a ping, after all that is on the line has passed."""
@@ -110,7 +107,7 @@ def test_no_string_ends_the_emulated_bus(protocol: float, seed: int) -> None:
     with EmulatedBus(servos, protocol=protocol, baud=BAUD, clock=VirtualClock()) as bus:
         client = Babbler(bus)
         try:
-            assert client.babble(Random(seed)) > 100
+            client.babble(Random(seed))
             time.sleep(PACKET_TIMEOUT_S)
             for servo in servos:
                 servo.set("baud_rate", {baud: code for code, baud in servo.model.baud_codes.items()}[BAUD])
