@@ -25,7 +25,7 @@ _MAX_LENGTH_2 = 1024
 
 
 class Instruction(IntEnum):
-    """Instruction codes; from REBOOT on: protocol 2.0 only."""
+    """Instruction codes; CLEAR, BACKUP, the sync and fast reads and BULK_WRITE: protocol 2.0 only."""
 
     PING = 0x01
     READ = 0x02
@@ -33,13 +33,13 @@ class Instruction(IntEnum):
     REG_WRITE = 0x04
     ACTION = 0x05
     FACTORY_RESET = 0x06
-    SYNC_WRITE = 0x83
-    BULK_READ = 0x92
     REBOOT = 0x08
     CLEAR = 0x10
-    CONTROL_TABLE_BACKUP = 0x20
+    BACKUP = 0x20
     SYNC_READ = 0x82
+    SYNC_WRITE = 0x83
     FAST_SYNC_READ = 0x8A
+    BULK_READ = 0x92
     BULK_WRITE = 0x93
     FAST_BULK_READ = 0x9A
 

@@ -8,38 +8,43 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
-from importlib import resources
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from calibration.intrinsics import CameraModel
-from drivers.arm import Arm, JointConfig, ServoConfig
+from drivers.arm import Arm
 from drivers.camera import Camera
 from drivers.clock import Clock, MonotonicClock, VirtualClock
 from drivers.dynamixel import DynamixelBus
-from drivers.emulated_bus import EmulatedBus
-from drivers.emulated_servo import EmulatedServo
 from drivers.rendered_camera import RenderedCamera
-from drivers.servo_models import load_model
+from drivers.safety import SafetyLimits
 from drivers.webcam import Webcam
+from station.emulated_arm import EmulatedArm
 from station.errors import InvalidData
-from station.formats.rig import (
-    EMULATED,
-    RENDERED,
-    RigTable,
-    load_calibration,
-    parse_rig,
-)
+from station.formats.rig import EMULATED, RENDERED, RigTable, load_calibration
 from station.formats.simulation import SimulatedCamera, SimulationTable
-from station.formats.text import read_text
-from station.logs import FloatArray
 from station.perception.markers import MarkerTable
+from station.rig_reading import joint_configs, packaged, packaged_names, read_rig
 from station.stage import Stage
+
+__all__ = [
+    "EmulatedArm",
+    "Rig",
+    "RigFile",
+    "joint_configs",
+    "load_rig",
+    "open_rig",
+    "packaged",
+    "packaged_names",
+    "read_rig",
+    "safety_limits",
+]
 
 # On a virtual clock a slow machine must not make a reply late: waits for one are then real time, and generous.
 VIRTUAL_REPLY_TIMEOUT_S = 10.0
+# Where replies are kept away on purpose, so generous a wait for each would be a long one.
+FAULTY_REPLY_TIMEOUT_S = 0.5
 
 
 @dataclass(frozen=True)
@@ -66,22 +71,9 @@ class Rig:
     seed: int | None
 
 
-def packaged(kind: str, name_or_path: str) -> Path:
-    """Path of a packaged rig or motion (`kind` "rigs" or "motions") of that name, else of the file itself."""
-    inside = Path(str(resources.files("station") / kind / f"{name_or_path}.toml"))
-    return inside if inside.is_file() else Path(name_or_path)
-
-
-def packaged_names(kind: str) -> list[str]:
-    """Names of the rigs or motions that come with the package."""
-    return sorted(path.stem for path in Path(str(resources.files("station") / kind)).glob("*.toml"))
-
-
 def load_rig(name_or_path: str) -> RigFile:
     """Read a rig and its camera's calibration; raises InvalidFile."""
-    path = packaged("rigs", name_or_path)
-    text = read_text(path, "rig", f"packaged ones are {', '.join(packaged_names('rigs'))}")
-    table = parse_rig(text, str(path))
+    table, text, path = read_rig(name_or_path)
     return RigFile(table, text, str(path), load_calibration(table, path.parent, str(path)))
 
 
@@ -113,14 +105,19 @@ def open_rig(rig: RigFile, *, simulate: bool = False, realtime: bool = False, se
     if simulation is not None and seed is None:
         seed = simulation.seed
     with ExitStack() as stack:
-        bus = EmulatedArm(table, simulation, clock) if emulated and simulation is not None else None
+        bus = EmulatedArm(table, simulation, clock, seed=seed) if emulated and simulation is not None else None
         port = table.bus.port if bus is None else stack.enter_context(bus).path
-        timeout_s = VIRTUAL_REPLY_TIMEOUT_S if virtual else None
+        timeout_s = _reply_timeout_s(simulation) if virtual else None
         client = DynamixelBus(
             port, baud=table.bus.baud, protocol=table.bus.protocol, clock=clock, reply_timeout_s=timeout_s
         )
-        disagreement_rad = float(np.radians(table.safety.disagreement_deg))
-        arm = Arm(stack.enter_context(client), _joint_configs(table), clock, disagreement_rad=disagreement_rad)
+        arm = Arm(
+            stack.enter_context(client),
+            joint_configs(table),
+            clock,
+            disagreement_rad=float(np.radians(table.safety.disagreement_deg)),
+            limits=safety_limits(table),
+        )
         if bus is not None and simulation is not None and rendered:
             stage = Stage(table, simulation, rig.camera_model, seed or 0)
             camera: Camera = _rendered_camera(table, simulation.camera, stage, bus, clock, realtime=not virtual)
@@ -132,52 +129,27 @@ def open_rig(rig: RigFile, *, simulate: bool = False, realtime: bool = False, se
         yield Rig(table, clock, virtual, arm, camera, rig.camera_model, table.marker_table(), simulated_seed)
 
 
+def _reply_timeout_s(simulation: SimulationTable | None) -> float:
+    """How long, in real time, a reply of a bus on a virtual clock is waited for."""
+    return FAULTY_REPLY_TIMEOUT_S if simulation is not None and simulation.faults else VIRTUAL_REPLY_TIMEOUT_S
+
+
 def _size(table: RigTable) -> tuple[int, int]:
     return (table.camera.size_px[0], table.camera.size_px[1])
 
 
-def _joint_configs(table: RigTable) -> tuple[JointConfig, ...]:
-    return tuple(
-        JointConfig(
-            name=joint.name,
-            servos=tuple(ServoConfig(servo.id, servo.model, servo.zero, servo.sign) for servo in joint.servo),
-            lower_rad=limits.lower,
-            upper_rad=limits.upper,
-            max_speed_rad_s=limits.max_speed,
-        )
-        for joint, limits in zip(table.joint, table.limits(), strict=True)
+def safety_limits(table: RigTable) -> SafetyLimits:
+    """The rig's thresholds as the arm takes them."""
+    safety = table.safety
+    return SafetyLimits(
+        max_temperature_c=safety.max_temperature_c,
+        min_voltage_v=safety.min_voltage_v,
+        max_voltage_v=safety.max_voltage_v,
+        max_load=safety.max_load,
+        stall_load=safety.stall_load,
+        stall_s=safety.stall_s,
+        watchdog_s=safety.watchdog_s,
     )
-
-
-class EmulatedArm(EmulatedBus):
-    """The emulated bus of a rig's servos, standing at the park pose, and the joints' true angles behind it."""
-
-    def __init__(self, table: RigTable, simulation: SimulationTable, clock: Clock) -> None:
-        acceleration = float(np.radians(simulation.max_acceleration_deg_s2))
-        servos: list[EmulatedServo] = []
-        self._turns: list[list[tuple[int, int, float]]] = []  # of each joint: servo id, sign, shaft angle at zero
-        for joint in table.joint:
-            turns: list[tuple[int, int, float]] = []
-            for servo in joint.servo:
-                model = load_model(servo.model)
-                zero = model.zero_count if servo.zero is None else servo.zero
-                park = round(zero + servo.sign * np.radians(joint.park_deg) / model.rad_per_count)
-                servos.append(
-                    EmulatedServo(servo.id, servo.model, initial_count=park, max_acceleration_rad_s2=acceleration)
-                )
-                turns.append((servo.id, servo.sign, (zero - model.zero_count) * model.rad_per_count))
-            self._turns.append(turns)
-        super().__init__(servos, protocol=table.bus.protocol, baud=table.bus.baud, clock=clock)
-
-    def joint_rad(self, t_ns: int) -> FloatArray:
-        """(J,) true joint angles at a time of the clock: the mean of the servos that turn each."""
-        return np.array(
-            [
-                sum(sign * (self.shaft_rad(servo, t_ns) - zero) for servo, sign, zero in turns) / len(turns)
-                for turns in self._turns
-            ],
-            dtype=np.float64,
-        )
 
 
 def _rendered_camera(
@@ -187,7 +159,7 @@ def _rendered_camera(
     offsets_ns = np.round(shares * camera.exposure_s * 1e9).astype(int).tolist()
 
     def render(t_mid_ns: int, index: int) -> NDArray[np.uint8]:
-        return stage.render(np.stack([bus.joint_rad(t_mid_ns + offset) for offset in offsets_ns]), index)
+        return stage.render(np.stack([bus.joint_states(t_mid_ns + offset) for offset in offsets_ns]), index)
 
     return RenderedCamera(
         render,

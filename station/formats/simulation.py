@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from collections.abc import Mapping
+from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, field_validator, model_validator
 
+from drivers.bus_faults import parse_fault
+from drivers.errors import DriverError
 from station.formats.toml_models import StrictModel
 from station.logs import FloatArray
 
@@ -23,13 +26,26 @@ def metres(values_mm: list[float]) -> FloatArray:
 
 
 class SimulatedJoint(StrictModel):
-    """`[[simulation.joint]]`: where the joint of that name really is, in the root's frame with all joints at zero."""
+    """`[[simulation.joint]]`: where the joint of that name really is, in the root's frame with all joints at zero.
+
+    point_mm, a point of a revolute joint's axis, means nothing for a prismatic one. mass_kg and centre_mm, if given,
+    are of the child body: the joints then carry its weight.
+    """
 
     name: str
+    type: Literal["revolute", "prismatic"] = "revolute"
     parent: str
     child: str
     axis: Vector
-    point_mm: Vector
+    point_mm: Vector = Field(default_factory=lambda: [0.0, 0.0, 0.0])
+    mass_kg: NotNegative | None = None
+    centre_mm: Vector | None = None
+
+    @model_validator(mode="after")
+    def _check(self) -> SimulatedJoint:
+        if (self.mass_kg is None) != (self.centre_mm is None):
+            raise ValueError("want mass_kg and centre_mm, or neither")
+        return self
 
 
 class SimulatedPlate(StrictModel):
@@ -75,7 +91,8 @@ class SimulationTable(StrictModel):
     """`[simulation]`: truth for the emulated bus and the rendered camera, drawn with all joints at zero.
 
     placement_mm and placement_deg are standard deviations by which the seed moves each plate and the camera, as hands
-    would; max_acceleration_deg_s2 limits the emulated servos.
+    would; max_acceleration_deg_s2 limits the emulated servos, backlash_deg is their play. faults are lines such as
+    "mute:3@2+1", in seconds since the bus was opened (docs/emulator.md lists them).
     """
 
     root: str
@@ -83,20 +100,32 @@ class SimulationTable(StrictModel):
     placement_mm: NotNegative = 0.0
     placement_deg: NotNegative = 0.0
     max_acceleration_deg_s2: Positive = 400.0
+    backlash_deg: NotNegative = 0.0
+    faults: list[str] = Field(default_factory=list)
     camera: SimulatedCamera
     joint: Annotated[list[SimulatedJoint], Field(min_length=1)]
     plate: list[SimulatedPlate]
     box: list[SimulatedBox] = Field(default_factory=list)
+
+    @field_validator("faults")
+    @classmethod
+    def _check(cls, faults: list[str]) -> list[str]:
+        try:
+            for fault in faults:
+                parse_fault(fault)
+        except DriverError as error:
+            raise ValueError(str(error)) from error
+        return faults
 
     def bodies(self) -> tuple[str, ...]:
         """The root, then each joint's child, in the order of the file."""
         return (self.root, *(joint.child for joint in self.joint))
 
 
-def check_simulation(simulation: SimulationTable, joints: set[str], ids: set[int]) -> None:
+def check_simulation(simulation: SimulationTable, joints: Mapping[str, str], ids: set[int]) -> None:
     """Raise ValueError for joints, bodies or plates that the rig or the simulation itself doesn't have."""
     have = {joint.name for joint in simulation.joint}
-    if have != joints or len(simulation.joint) != len(joints):
+    if have != set(joints) or len(simulation.joint) != len(joints):
         both = f"the rig has {sorted(joints)}, it places {sorted(have)}"
         raise ValueError(f"[simulation] must place each joint once; {both}")
     placed = {simulation.root}
@@ -104,6 +133,8 @@ def check_simulation(simulation: SimulationTable, joints: set[str], ids: set[int
         if joint.parent not in placed or joint.child in placed:
             raise ValueError(f"simulated joint '{joint.name}': the parent must stand before it, the child must be new")
         placed.add(joint.child)
+        if (joint.type == "prismatic") != (joints[joint.name] == "m"):
+            raise ValueError(f"simulated joint '{joint.name}' is {joint.type}; the rig's limits are in other units")
     for item in (*simulation.plate, *simulation.box):
         if item.body not in placed:
             raise ValueError(f"no simulated body '{item.body}'; have {', '.join(sorted(placed))}")

@@ -115,6 +115,7 @@ class TimedBytes:
         self._data, self._piece, self._at = data, piece, 0
         self._reads_left = READS_PER_BYTE * len(data) + FEW_READS
         self.is_using = False
+        self.sent = b""  # nothing that could come back as an echo
 
     # The names of the methods are the SDK's.
     def readPort(self, length: int) -> bytes:

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from drivers.clock import VirtualClock
 from drivers.emulated_bus import PACKET_TIMEOUT_S, EmulatedBus
 from drivers.emulated_servo import EmulatedServo
-from drivers.packets import FrameReader, Instruction, encode, encode_instruction, encode_status, read_status
+from drivers.packets import BROADCAST, FrameReader, Instruction, encode, encode_instruction, encode_status, read_status
 from drivers.sdk_fence import Status, make_handler
 from tests.benchmarks import packet_fuzz
 from tests.benchmarks.packet_fuzz import TRICKY, TimedBytes
@@ -102,15 +102,31 @@ class Babbler:
 @BOTH
 @pytest.mark.parametrize("seed", [1, 2])
 def test_no_string_ends_the_emulated_bus(protocol: float, seed: int) -> None:
-    # Some strings are proper instructions: a servo may have another id afterwards. One at another baud is silent.
+    # Some strings are proper instructions: servos may have another baud or protocol afterwards, or one id.
     servos = [EmulatedServo(id, "AX-18A" if protocol == 1.0 else "XM430-W350") for id in (1, 2, 3)]
-    with EmulatedBus(servos, protocol=protocol, baud=BAUD, clock=VirtualClock()) as bus:
+    with EmulatedBus(servos, baud=BAUD, clock=VirtualClock()) as bus:
         client = Babbler(bus)
         try:
             client.babble(Random(seed))
             time.sleep(PACKET_TIMEOUT_S)
-            for servo in servos:
+            for id, servo in enumerate(servos, 1):
+                servo.set("id", id)
                 servo.set("baud_rate", {baud: code for code, baud in servo.model.baud_codes.items()}[BAUD])
-            assert client.answers({servo.id for servo in servos}, protocol)
+                if "protocol_type" in servo.model.registers:
+                    servo.set("protocol_type", 2)
+            assert client.answers({1, 2, 3}, protocol)
+        finally:
+            client.port.close()
+
+
+@pytest.mark.parametrize("instruction", [Instruction.FAST_SYNC_READ, Instruction.FAST_BULK_READ])
+def test_a_fast_read_of_more_than_a_packet_holds_is_silence(instruction: Instruction) -> None:
+    each = bytes.fromhex("84 00 FF FF")  # from 132 on, 65535 bytes
+    parameters = each + b"\1\2" if instruction == Instruction.FAST_SYNC_READ else b"\1" + each + b"\2" + each
+    with EmulatedBus([EmulatedServo(id, "XM430-W350") for id in (1, 2)], baud=BAUD, clock=VirtualClock()) as bus:
+        client = Babbler(bus)
+        try:
+            client.port.write(encode_instruction(BROADCAST, instruction, parameters, 2.0))
+            assert client.answers({1, 2}, 2.0)
         finally:
             client.port.close()

@@ -73,10 +73,10 @@ INSTRUCTIONS = {
     ),
     "2.0 clear": (2.0, 1, Instruction.CLEAR, "01 44 58 4C 22", "FF FF FD 00 01 08 00 10 01 44 58 4C 22 B1 DC"),
     "2.0 backup": (
-        2.0, 1, Instruction.CONTROL_TABLE_BACKUP, "01 43 54 52 4C", "FF FF FD 00 01 08 00 20 01 43 54 52 4C 16 F5",
+        2.0, 1, Instruction.BACKUP, "01 43 54 52 4C", "FF FF FD 00 01 08 00 20 01 43 54 52 4C 16 F5",
     ),
     "2.0 restore": (
-        2.0, 1, Instruction.CONTROL_TABLE_BACKUP, "02 43 54 52 4C", "FF FF FD 00 01 08 00 20 02 43 54 52 4C 9E F5",
+        2.0, 1, Instruction.BACKUP, "02 43 54 52 4C", "FF FF FD 00 01 08 00 20 02 43 54 52 4C 9E F5",
     ),
     "2.0 fast sync read": (
         2.0, BROADCAST, Instruction.FAST_SYNC_READ, "84 00 04 00 03 07 04",

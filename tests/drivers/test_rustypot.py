@@ -37,14 +37,14 @@ DATA_RANGE, DATA_LIMIT, ACCESS, ALERT = 4, 6, 7, 0x80
 
 
 @contextmanager
-def bus_of(*models: str, protocol: float = 2.0) -> Iterator[tuple[EmulatedBus, VirtualClock]]:
+def bus_of(*models: str) -> Iterator[tuple[EmulatedBus, VirtualClock]]:
     """An emulated bus with a servo of each model, from id 1 on, 31 degrees Celsius and up, at its nominal voltage."""
     clock = VirtualClock()
     servos = [
         EmulatedServo(id, model, voltage_v=load_model(model).nominal_v, temperature_c=30.0 + id)
         for id, model in enumerate(models, 1)
     ]
-    with EmulatedBus(servos, protocol=protocol, baud=BAUD, clock=clock) as bus:
+    with EmulatedBus(servos, baud=BAUD, clock=clock) as bus:
         yield bus, clock
 
 
@@ -154,6 +154,28 @@ def test_data_that_look_like_a_header_pass_both_ways(model: str) -> None:
         assert [bytes(read) for read in client.sync_read_raw_data(IDS, 100, 4)] == [data, data, data]
 
 
+@EACH
+def test_a_fast_sync_read_tells_what_a_sync_read_does(model: str) -> None:
+    with three(model) as (client, _, clock):
+        for id in IDS:
+            client.write_register(id, "torque_enable", 1)
+        client.sync_write_register(IDS, "goal_position", [1000, 2000, 3000])
+        assert client.sync_read_register(IDS, "goal_position") == [1000, 2000, 3000]
+        pass_s(clock, 3.0)
+        client.set_fast_sync_read(True)
+        assert client.sync_read_register([3, 1, 2], "present_position") == [3000, 1000, 2000]
+        assert client.sync_read_register([2, 3], "present_temperature") == [32, 33]
+
+
+def test_both_protocols_on_one_wire() -> None:
+    with bus_of("AX-12A", "XL430-W250") as (bus, _):
+        for controller, id, number in (("AxPyController", 1, 12), (XL430, 2, 1060)):
+            client = getattr(rustypot, controller)(bus.path, BAUD, TIMEOUT_S)
+            assert client.ping(id)
+            assert client.read_register(id, "model_number") == number
+            client.close()
+
+
 def test_models_of_two_kinds_on_one_wire() -> None:
     definitions = {
         1: rustypot.Xl430PyController.definition(),
@@ -173,7 +195,7 @@ def test_models_of_two_kinds_on_one_wire() -> None:
 
 def test_protocol_1_reads_of_ax() -> None:
     clock = VirtualClock()
-    with EmulatedBus([EmulatedServo(1, "AX-18A", initial_count=700)], protocol=1.0, baud=BAUD, clock=clock) as bus:
+    with EmulatedBus([EmulatedServo(1, "AX-18A", initial_count=700)], baud=BAUD, clock=clock) as bus:
         client = rustypot.AxPyController(bus.path, BAUD, TIMEOUT_S)
         assert client.ping(1)
         assert client.read_raw_present_position(1) in (700, [700])
@@ -186,7 +208,7 @@ def test_protocol_1_reads_of_ax() -> None:
 @pytest.mark.parametrize(("model", "controller"), [("AX-12A", "AxPyController"), ("MX-64", "MxPyController")])
 def test_protocol_1_motion_and_refusals(model: str, controller: str) -> None:
     known = load_model(model)
-    with bus_of(model, model, protocol=1.0) as (bus, clock):
+    with bus_of(model, model) as (bus, clock):
         client = getattr(rustypot, controller)(bus.path, BAUD, TIMEOUT_S)
         assert [client.read_register(id, "model_number") for id in (1, 2)] == [known.model_number] * 2
         client.write_register(1, "torque_enable", 1)
