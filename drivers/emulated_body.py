@@ -196,11 +196,11 @@ class Body:
         inertia = abs(self.profile.acceleration(t_ns)) / self._max_acceleration_rad_s2
         return INERTIA * inertia + FRICTION * self.profile.moving(t_ns)
 
-    def saturated(self) -> bool:
-        """Whether the motor gives all that it has and still doesn't get where it is told."""
-        knot = self._knots[-1]
+    def saturated(self, t_ns: int) -> bool:
+        """Whether the motor gave all that it has just before a time, and still didn't get where it was told."""
+        knot = self._knot(t_ns - 1)
         if knot.lead is not None:
-            return knot.lead.body.saturated()
+            return knot.lead.body.saturated(t_ns)
         drive = knot.drive
         if knot.rigid or drive.limit <= 0 or drive.limit < drive.full * _FULL:
             return False

@@ -5,6 +5,7 @@ from __future__ import annotations
 import heapq
 import math
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 
 from drivers.emulated_body import STEP_NS, Body
 from drivers.emulated_heat import Heat
@@ -30,7 +31,7 @@ class EmulatedServo:
 
     Times of calls don't fall; a call for an earlier time than the latest happens at the latest. What the servo does by
     itself happens at its own time, however often it is asked in between. Its life begins with the first time that it
-    hears of, and it is quick to hear of the next if that isn't minutes away.
+    is asked or told something.
 
     Args:
         id: 0 to 252.
@@ -262,6 +263,7 @@ class EmulatedServo:
             try:
                 if self._now_ns == BEGINNING_NS:
                     self._due_ns = self._now_ns = self._protection.heard_ns = t_ns
+                    self._present.heat = replace(self._present.heat, t_ns=t_ns)
                 self.shaft.forget(self._now_ns)
                 while self._due_ns <= t_ns:
                     self._now_ns = max(self._now_ns, self._due_ns)
@@ -289,7 +291,7 @@ class EmulatedServo:
             t_ns,
             voltage_v=self._present.voltage_v,
             temperature_c=heat.temperature_c,
-            saturated=self.shaft.saturated(),
+            saturated=self.shaft.saturated(t_ns),
         )
         if new:
             self._alarm(new, t_ns)
