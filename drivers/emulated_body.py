@@ -175,8 +175,10 @@ class Body:
         if knot.lead is not None:
             return knot.lead.sign * knot.lead.body.output(t_ns)
         drive = knot.drive
-        if drive.control in (Control.TORQUE, Control.DUTY):
+        if drive.control is Control.TORQUE:
             return drive.output
+        if drive.control is Control.DUTY:  # a direct-current motor: the speed takes its part of the voltage
+            return drive.output - self.at(t_ns)[1] / self._max_speed_rad_s
         goal, rad_s = self.profile.at(t_ns)
         effort = FRICTION * ((rad_s > 0) - (rad_s < 0))
         effort += INERTIA * self.profile.acceleration(t_ns) / self._max_acceleration_rad_s2
@@ -191,7 +193,7 @@ class Body:
     def strain(self, t_ns: int) -> float:
         """Size of the output from a time on, as it heats; friction counts from the start of a motion."""
         knot = self._knot(t_ns)
-        if not knot.rigid or knot.drive.control in (Control.TORQUE, Control.DUTY):
+        if not knot.rigid or knot.drive.control is Control.TORQUE:
             return abs(self.output(t_ns))
         inertia = abs(self.profile.acceleration(t_ns)) / self._max_acceleration_rad_s2
         return INERTIA * inertia + FRICTION * self.profile.moving(t_ns)

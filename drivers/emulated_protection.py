@@ -65,7 +65,6 @@ class Protection:
         if shutdown:
             # X: torque is off until a reboot. AX: Torque Limit becomes 0 until it is written (e-manual, Shutdown).
             self._table.set("torque_limit" if self._table.model.recovery == "torque_limit" else "torque_enable", 0)
-            self._saturated_ns = None
         return shutdown
 
     def watchdog_ns(self) -> int:
