@@ -170,6 +170,19 @@ def test_one_bad_servo_is_told_and_hides_no_other(
     assert find(report.findings, "servo 3 (lift)", "voltage").verdict is Verdict.OK
 
 
+def test_a_check_that_fails_leaves_the_others_to_be_done():
+    """Servo 2 keeps silent when asked for registers of four bytes: its position and the limits of it."""
+
+    def mute(servo_id: int, reply: bytes) -> Iterable[tuple[int, bytes]]:
+        return [] if servo_id == 2 and len(reply) == 15 else [(0, reply)]
+
+    with bench(*X, alter_reply=mute) as arm:
+        report = arm.examine()
+    assert faults(report) == {("servo 2 (lift)", "position limits", "blocks"), ("joint lift", "position", "blocks")}
+    for check in ("voltage", "alarms", "follows"):
+        assert find(report.findings, "servo 2 (lift)", check).verdict is Verdict.OK
+
+
 @BOTH
 def test_a_servo_with_another_id_is_missing(model: str, protocol: float):
     with bench(model, protocol, ids=(1, 2, 9)) as arm:
