@@ -28,7 +28,7 @@ from station.errors import StationError
 from station.formats.rig import RigTable, parse_rig
 from station.rig import packaged
 
-LATENCY_S = 0.05
+LATENCY_S = 0.03  # replies are waited for four times as long
 RIG = """
 schema = "rig/1"
 [bus]
@@ -111,7 +111,10 @@ def find(findings: Iterable[Finding], where: str, check: str) -> Finding:
     return finding
 
 
-@BOTH
+OTHERS = [("MX-106", 1.0), ("MX-28(2.0)", 2.0), ("XL-320", 2.0), ("XL430-W250", 2.0), ("XC330-M181", 2.0)]
+
+
+@pytest.mark.parametrize(("model", "protocol"), [AX, X, *OTHERS])
 def test_a_sound_arm_has_no_fault(model: str, protocol: float):
     with bench(model, protocol) as arm:
         report = arm.examine()
@@ -125,7 +128,7 @@ def test_a_sound_arm_has_no_fault(model: str, protocol: float):
         "joint lift",
     ]
     voltage = find(report.findings, "servo 1 (pan)", "voltage")
-    assert voltage.values["voltage_v"] == 12.0 and voltage.brief == "12.0 V"
+    assert voltage.values["voltage_v"] == arm.servos[1].voltage_v and voltage.brief.endswith(" V")
 
 
 def set_baud(arm: Bench) -> None:

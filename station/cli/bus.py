@@ -28,7 +28,8 @@ def scan(
         str | None, typer.Argument(metavar="PORT", help="Serial port; the rig's if left out.", show_default=False)
     ] = None,
     baud: Annotated[
-        list[int] | None, typer.Option("--baud", min=1, help="Baud to try; may be repeated. All that known models have.")
+        list[int] | None,
+        typer.Option("--baud", min=1, help="Baud to try; may be repeated; all known ones."),
     ] = None,
     protocol: Annotated[
         list[float] | None, typer.Option("--protocol", help="1.0 or 2.0; both if left out.", show_default=False)
