@@ -11,14 +11,13 @@ from typing import SupportsIndex, TypeVar
 
 from drivers.clock import Clock
 from drivers.errors import BusLost, DriverError
-from drivers.line import Answer, Line
+from drivers.line import MARKER_BYTES, Answer, Line
 from drivers.sdk_fence import FencedPort
 from drivers.servo_models import Register, ServoModel, model_by_number
 
 T = TypeVar("T")
 ATTEMPTS = 3  # of every exchange
 ALERT = "alert"  # protocol 2.0: the status packet says that there is an alarm; which, its register tells
-_MARKER_BYTES = 3  # the size of a question that `drivers.line` keeps for itself
 
 
 @dataclass(frozen=True, slots=True)
@@ -272,7 +271,7 @@ def _span(table: Sequence[Register]) -> tuple[int, int]:
     """Address and size of the bytes from the first register to the last."""
     start = min(register.address for register in table)
     size = max(register.address + register.size for register in table) - start
-    if size == _MARKER_BYTES:
+    if size in MARKER_BYTES:  # those the line keeps for itself
         return (start - 1, size + 1) if start else (start, size + 1)
     return start, size
 
