@@ -501,6 +501,27 @@ def test_all_is_examined_though_port_camera_and_calibration_are_wrong(tmp_path: 
     assert blocked == {"calibration", "camera"}  # which can't be rendered without one
 
 
+def test_a_bus_that_another_program_uses_is_not_disturbed(tmp_path: Path):
+    asked: list[int] = []
+
+    def note(servo_id: int, reply: bytes) -> Iterable[tuple[int, bytes]]:
+        asked.append(servo_id)
+        return [(0, reply)]
+
+    _, system = made_system(tmp_path)
+    with bench(*AX, alter_reply=note) as arm:
+        path = tmp_path / "arm.toml"
+        path.write_text(RIG.format(port=arm.bus.path, protocol=1.0, model="AX-18A"), encoding="utf-8")
+        holder = system.proc / "4711"
+        (holder / "fd").mkdir(parents=True)
+        (holder / "fd" / "3").symlink_to(Path(arm.bus.path).resolve())
+        (holder / "cmdline").write_bytes(b"other\0")
+        (holder / "comm").write_text("other\n")
+        checkup = examine(str(path), folder=tmp_path, system=system)
+    assert not asked and not checkup.passed
+    assert find(checkup.findings, "servos", "answer").verdict is Verdict.BLOCKS
+
+
 def finding(where: str, verdict: Verdict, mend: str = "", brief: str = "") -> Finding:
     return Finding(where, "look", verdict, "this", mend, brief=brief)
 
