@@ -15,6 +15,7 @@ from drivers.errors import NoPort
 DEV, PROC, SYS = Path("/dev"), Path("/proc"), Path("/sys")
 # ms. What an FTDI adapter does unless told otherwise; a scan waits for replies of such a one.
 DEFAULT_LATENCY_MS = 16
+COMMAND_LENGTH = 80  # of a program in a message
 _MASTERS = {"/dev/ptmx", "/dev/pts/ptmx"}
 
 
@@ -154,4 +155,5 @@ def _command(entry: Path) -> str:
         name = (entry / "comm").read_text(encoding="utf-8", errors="replace").strip()
     except OSError:
         return "?"
-    return b" ".join(words).decode("utf-8", errors="replace").strip() or name
+    line = " ".join(b" ".join(words).decode("utf-8", errors="replace").split()) or name
+    return line if len(line) <= COMMAND_LENGTH else line[: COMMAND_LENGTH - 1] + "…"

@@ -28,7 +28,7 @@ from station.errors import StationError
 from station.formats.rig import RigTable, parse_rig
 from station.rig import packaged
 
-LATENCY_S = 0.05
+LATENCY_S = 0.03  # replies are waited for four times as long
 RIG = """
 schema = "rig/1"
 [bus]
@@ -111,7 +111,10 @@ def find(findings: Iterable[Finding], where: str, check: str) -> Finding:
     return finding
 
 
-@BOTH
+OTHERS = [("MX-106", 1.0), ("MX-28(2.0)", 2.0), ("XL-320", 2.0), ("XL430-W250", 2.0), ("XC330-M181", 2.0)]
+
+
+@pytest.mark.parametrize(("model", "protocol"), [AX, X, *OTHERS])
 def test_a_sound_arm_has_no_fault(model: str, protocol: float):
     with bench(model, protocol) as arm:
         report = arm.examine()
@@ -125,7 +128,7 @@ def test_a_sound_arm_has_no_fault(model: str, protocol: float):
         "joint lift",
     ]
     voltage = find(report.findings, "servo 1 (pan)", "voltage")
-    assert voltage.values["voltage_v"] == 12.0 and voltage.brief == "12.0 V"
+    assert voltage.values["voltage_v"] == arm.servos[1].voltage_v and voltage.brief.endswith(" V")
 
 
 def set_baud(arm: Bench) -> None:
@@ -168,6 +171,19 @@ def test_one_bad_servo_is_told_and_hides_no_other(
     assert told == expected
     assert all(finding.mend for finding in report.findings if finding.verdict is not Verdict.OK)
     assert find(report.findings, "servo 3 (lift)", "voltage").verdict is Verdict.OK
+
+
+def test_a_check_that_fails_leaves_the_others_to_be_done():
+    """Servo 2 keeps silent when asked for registers of four bytes: its position and the limits of it."""
+
+    def mute(servo_id: int, reply: bytes) -> Iterable[tuple[int, bytes]]:
+        return [] if servo_id == 2 and len(reply) == 15 else [(0, reply)]
+
+    with bench(*X, alter_reply=mute) as arm:
+        report = arm.examine()
+    assert faults(report) == {("servo 2 (lift)", "position limits", "blocks"), ("joint lift", "position", "blocks")}
+    for check in ("voltage", "alarms", "follows"):
+        assert find(report.findings, "servo 2 (lift)", check).verdict is Verdict.OK
 
 
 @BOTH
@@ -483,6 +499,27 @@ def test_all_is_examined_though_port_camera_and_calibration_are_wrong(tmp_path: 
     simulated = examine(str(path), folder=tmp_path, simulate=True)
     blocked = {finding.where for finding in simulated.findings if finding.verdict is Verdict.BLOCKS}
     assert blocked == {"calibration", "camera"}  # which can't be rendered without one
+
+
+def test_a_bus_that_another_program_uses_is_not_disturbed(tmp_path: Path):
+    asked: list[int] = []
+
+    def note(servo_id: int, reply: bytes) -> Iterable[tuple[int, bytes]]:
+        asked.append(servo_id)
+        return [(0, reply)]
+
+    _, system = made_system(tmp_path)
+    with bench(*AX, alter_reply=note) as arm:
+        path = tmp_path / "arm.toml"
+        path.write_text(RIG.format(port=arm.bus.path, protocol=1.0, model="AX-18A"), encoding="utf-8")
+        holder = system.proc / "4711"
+        (holder / "fd").mkdir(parents=True)
+        (holder / "fd" / "3").symlink_to(Path(arm.bus.path).resolve())
+        (holder / "cmdline").write_bytes(b"other\0")
+        (holder / "comm").write_text("other\n")
+        checkup = examine(str(path), folder=tmp_path, system=system)
+    assert not asked and not checkup.passed
+    assert find(checkup.findings, "servos", "answer").verdict is Verdict.BLOCKS
 
 
 def finding(where: str, verdict: Verdict, mend: str = "", brief: str = "") -> Finding:

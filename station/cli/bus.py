@@ -28,7 +28,8 @@ def scan(
         str | None, typer.Argument(metavar="PORT", help="Serial port; the rig's if left out.", show_default=False)
     ] = None,
     baud: Annotated[
-        list[int] | None, typer.Option("--baud", help="Baud to try; may be repeated. All that known models have.")
+        list[int] | None,
+        typer.Option("--baud", min=1, help="Baud to try; may be repeated; all known ones."),
     ] = None,
     protocol: Annotated[
         list[float] | None, typer.Option("--protocol", help="1.0 or 2.0; both if left out.", show_default=False)
@@ -45,6 +46,7 @@ def scan(
 
     Nothing is written to a servo. Exit code 1 if nothing is found, or a servo isn't there as the rig says.
     """
+    from drivers.errors import BusLost
     from station.doctor.expectation import expected_servos, match_found
     from station.doctor.scanning import choose_settings, open_wire, parse_ids
     from station.errors import StationError
@@ -59,8 +61,10 @@ def scan(
     with open_wire(port, rig_table) as (path, latency_s):
         try:
             _scan_into(found, path, settings, chosen, [want.servo_id for want in expected], latency_s)
-        except KeyboardInterrupt:
-            _show_scan(path, match_found(expected, found), rig is not None, as_json, narrowed=True)
+        except (KeyboardInterrupt, BusLost):
+            if found:  # those that weren't reached aren't missing
+                matches = [match for match in match_found(expected, found) if match.found is not None]
+                _show_scan(path, matches, rig is not None, as_json, narrowed=True)
             raise
     matches = match_found(expected, found)
     narrowed = any(option is not None for option in (baud, protocol, ids))

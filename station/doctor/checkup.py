@@ -33,6 +33,8 @@ from station.rig import (
 )
 from station.stage import Stage
 
+NOT_ASKED = Finding("servos", "answer", Verdict.BLOCKS, "not asked: the port can't be used")
+
 
 @dataclass(frozen=True)
 class Checkup:
@@ -82,9 +84,10 @@ def examine(
     with ExitStack() as stack:
         bench = _Bench(table, rig, simulate, system or System(), stack)
         say("servos")
-        findings += bench.port_findings()
-        report = bench.examine_bus(fixes)
-        findings += report.findings
+        port = bench.port_findings()
+        # A port that another program uses isn't disturbed.
+        report = BusReport([NOT_ASKED]) if blocks(port) else bench.examine_bus(fixes)
+        findings += port + report.findings
         say("camera")
         watched = bench.watch(calibration)
     findings += watched.findings
@@ -123,9 +126,6 @@ class _Bench:
 
     def examine_bus(self, fixes: Sequence[str]) -> BusReport:
         """Of the servos; the port is opened and closed."""
-        if not Path(self._port).exists():
-            said = "not asked: there is no port"
-            return BusReport([Finding("servos", "answer", Verdict.BLOCKS, said)])
         latency_ms = read_latency_ms(self._port, self._system.sys) or DEFAULT_LATENCY_MS
         wire = Wire(self._port, self._clock, latency_ms / 1000, self._timeout_s)
         return examine_bus(wire, self._table, self._rig, fixes)

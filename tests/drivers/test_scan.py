@@ -84,6 +84,18 @@ def test_a_servo_with_an_alarm_is_found_with_it(model: str, setting: Setting):
     assert found.alarms == ("overheating",)
 
 
+def test_all_protocols_and_bauds_on_one_wire_are_found():
+    servos = [EmulatedServo(1, "AX-18A"), EmulatedServo(11, "XM430-W350"), EmulatedServo(5, "MX-28(2.0)")]
+    settings = [Setting(1.0, 57_600), AX, Setting(2.0, 57_600), X]
+    with EmulatedBus(servos, clock=VirtualClock()) as bus:
+        found = found_on(bus, settings, [1, 5, 11])
+    assert {(f.servo_id, f.setting, f.model.name if f.model else "") for f in found} == {
+        (1, AX, "AX-18A"),
+        (5, Setting(2.0, 57_600), "MX-28(2.0)"),
+        (11, Setting(2.0, 57_600), "XM430-W350"),
+    }
+
+
 def test_a_model_without_a_control_table_is_found_by_its_number():
     servo = EmulatedServo(1, "XM430-W350")
     servo.set("model_number", 4711)
@@ -110,17 +122,15 @@ def test_servos_that_share_an_id_are_said_to(model: str, setting: Setting, alter
 
 @BOTH
 def test_one_damaged_reply_is_no_shared_id(model: str, setting: Setting):
-    damaged: list[bytes] = []
+    replies: list[bytes] = []
 
-    def first(servo_id: int, reply: bytes) -> Iterable[tuple[int, bytes]]:
-        if not damaged:
-            damaged.append(reply)
-            return [(0, reply[:-1])]
-        return [(0, reply)]
+    def third(servo_id: int, reply: bytes) -> Iterable[tuple[int, bytes]]:
+        replies.append(reply)
+        return [(0, reply[:-1] if len(replies) == 3 else reply)]
 
-    with wire([EmulatedServo(1, model)], setting, first) as bus:
+    with wire([EmulatedServo(1, model)], setting, third) as bus:
         (found,) = found_on(bus, [setting], [1])
-    assert damaged and found.model is load_model(model) and not found.shared
+    assert found.damaged == 1 and found.model is load_model(model) and not found.shared
 
 
 def test_single_pings_follow_where_the_broadcast_is_damaged():
@@ -201,6 +211,16 @@ def test_a_scan_that_is_stopped_leaves_the_port_free(model: str, setting: Settin
                 pass
         with DynamixelBus(bus.path, baud=setting.baud, protocol=setting.protocol, clock=VirtualClock()) as client:
             assert client.ping(1) == load_model(model).model_number
+
+
+def test_a_probe_lets_go_of_its_port():
+    with wire([EmulatedServo(1, "AX-18A")], AX) as bus:
+        with Probe(bus.path, AX, latency_s=PATIENT_S) as probe:
+            with pytest.raises(NoPort, match="held by another program"), Probe(bus.path, AX, latency_s=PATIENT_S):
+                pass
+            assert probe.ping(1).of(1)
+        with Probe(bus.path, AX, latency_s=PATIENT_S) as other:  # while the first one is still referred to
+            assert other.ping(1).of(1) and probe is not other
 
 
 def test_progress_rises_to_the_whole():

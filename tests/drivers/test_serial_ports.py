@@ -72,6 +72,12 @@ def test_this_program_and_the_emulator_behind_a_pseudo_terminal_hold_nothing(tmp
     assert find_holders("/dev/pts/9", tmp_path) == [Holder(7, "screen /dev/pts/9")]
 
 
+def test_a_long_command_is_one_short_line(tmp_path: Path):
+    made_program(tmp_path, 7, "python -c import\nos;" + "x" * 200, "/dev/ttyUSB0")
+    (holder,) = find_holders("/dev/ttyUSB0", tmp_path)
+    assert holder.command.startswith("python -c import os;x") and len(holder.command) == 80
+
+
 def test_permissions_are_those_of_the_group(tmp_path: Path):
     port = tmp_path / "ttyUSB0"
     port.touch()
