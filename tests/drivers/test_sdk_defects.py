@@ -89,9 +89,12 @@ def test_what_is_sent_is_stuffed() -> None:
         assert os.read(far, 100) == stuffed
         port.closePort()
     with emulated(2.0) as bus, driver(bus.path, 2.0) as client:
-        client.sync_write("goal_velocity", {1: value, 2: value})
-        client.write(3, "goal_velocity", value)
-        assert [client.read(id, "goal_velocity") for id in (1, 2, 3)] == [value] * 3
+        turns = int.from_bytes(b"\xff\xff\xfd\xff", "little", signed=True)  # 32 turns back
+        for id in (1, 2, 3):
+            client.write(id, "operating_mode", 4)  # more than one turn
+        client.sync_write("goal_position", {1: turns, 2: turns})
+        client.write(3, "goal_position", turns)
+        assert [client.read(id, "goal_position") for id in (1, 2, 3)] == [turns] * 3
 
 
 def test_what_is_received_is_unstuffed_whole() -> None:
