@@ -164,6 +164,11 @@ class Body:
         before_ns = t_ns - _SPEED_OVER_NS
         return rad, (rad - self._rad(max(before_ns, self._times[0]))) / (_SPEED_OVER_NS * 1e-9)
 
+    def moving(self, t_ns: int) -> bool:
+        """Whether control is still on its way."""
+        lead = self._knot(t_ns).lead
+        return self.profile.moving(t_ns) if lead is None else lead.body.moving(t_ns)
+
     def output(self, t_ns: int) -> float:
         """What the motor gives at a time, a part of the stall torque, positive anticlockwise."""
         knot = self._knot(t_ns)
@@ -191,11 +196,11 @@ class Body:
         inertia = abs(self.profile.acceleration(t_ns)) / self._max_acceleration_rad_s2
         return INERTIA * inertia + FRICTION * self.profile.moving(t_ns)
 
-    def saturated(self) -> bool:
-        """Whether the motor gives all that it has and still doesn't get where it is told."""
-        knot = self._knots[-1]
+    def saturated(self, t_ns: int) -> bool:
+        """Whether the motor gave all that it has just before a time, and still didn't get where it was told."""
+        knot = self._knot(t_ns - 1)
         if knot.lead is not None:
-            return knot.lead.body.saturated()
+            return knot.lead.body.saturated(t_ns)
         drive = knot.drive
         if knot.rigid or drive.limit <= 0 or drive.limit < drive.full * _FULL:
             return False
@@ -238,9 +243,9 @@ class Body:
 
     def obstruct(self, t_ns: int, lower_rad: float, upper_rad: float) -> None:
         """From `t_ns` on the shaft can't leave this range; a bound that it is past already is where it stands."""
+        if self._knots[-1].lead is not None:  # it stands where its leader does
+            return
         motor, shaft = self._state(self._knots[-1], t_ns)
-        if self._knots[-1].lead is not None:
-            raise DriverError("a servo that follows another by a sync cable stands where that one does: obstruct that")
         lower, upper = min(lower_rad, shaft), max(upper_rad, shaft)
         loose = replace(self._knots[-1], rigid=False, lower_rad=lower, upper_rad=upper)
         self._add(replace(loose, t_ns=max(t_ns, loose.t_ns), motor_rad=motor, shaft_rad=shaft))

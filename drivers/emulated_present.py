@@ -83,7 +83,7 @@ class Present:
         return round(self.frame.sign * rad_s / self._table.model.speed_unit_rad_s)
 
     def _moving(self, t_ns: int, rad: float, rad_s: float) -> int:
-        if self._body.profile.moving(t_ns):
+        if self._body.moving(t_ns):
             return 1
         return int("moving_threshold" in self._table and abs(self._speed(rad_s)) > self._table.get("moving_threshold"))
 
@@ -91,7 +91,7 @@ class Present:
         if not mode_of(self._table).positions:
             return 0
         status = _PROFILE[self.profile_phases] if self._table.get(self._table.model.speed_register) else 0
-        if self._body.profile.moving(t_ns):
+        if self._body.moving(t_ns):
             return status | 0x02
         near = abs(self.frame.count(rad) - self._table.get("goal_position")) <= IN_POSITION_COUNTS
         return status | int(near)
@@ -111,4 +111,4 @@ class Present:
 
     def _voltage(self, t_ns: int, rad: float, rad_s: float) -> int:
         register = self._table.registers[self._table.model.voltage_register]
-        return register.count(self.voltage_v) - int(self._body.profile.moving(t_ns))
+        return register.count(self.voltage_v) - int(self._body.moving(t_ns))

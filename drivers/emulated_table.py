@@ -108,7 +108,7 @@ class Table:
         if register.name == self.model.operating_mode_register and value not in self.model.operating_modes.values():
             raise Refused(Refusal.RANGE)
 
-    def power_up(self, keep: Sequence[str] | set[str]) -> None:
+    def power_up(self, keep: Sequence[str]) -> None:
         """All registers to their initial values, but for those to keep."""
         for register in self.registers.values():
             if register.name not in keep:
