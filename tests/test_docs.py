@@ -83,6 +83,7 @@ def test_the_choices_of_the_python_page_are_those_of_the_fit(keyword: str):
     assert sorted(shown) == sorted(str(refused.value).split(" of ")[-1].split(", "))
 
 
+SDK_TRIES = 5  # it waits 34 ms for a reply: on a machine with other work to do, that can be too short
 EMULATOR = (ROOT / "docs" / "emulator.md").read_text("utf-8")
 
 
@@ -91,7 +92,10 @@ def test_the_fixture_of_the_emulators_page_runs_under_pytest(tmp_path: Path):
     (tmp_path / "test_mine.py").write_text(code, encoding="utf-8")
     command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-W", "error", "test_mine.py"]
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
+    for _ in range(SDK_TRIES):
+        done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
+        if done.returncode == 0:
+            break
     assert done.returncode == 0 and "1 passed" in done.stdout, done.stdout + done.stderr
 
 
@@ -106,7 +110,12 @@ def test_the_shell_of_the_emulators_page_works(tmp_path: Path):
     with subprocess.Popen(command, env=environment, stdout=pipe, stderr=pipe, text=True) as emulator:
         assert emulator.stdout is not None and emulator.stdout.readline().strip() == str(link)
         script = ask.replace("/tmp/ttyARM", str(link)).replace("python -c", f"{sys.executable} -c")
-        said = subprocess.run(script, shell=True, env=environment, capture_output=True, text=True, check=True).stdout
+        for _ in range(SDK_TRIES):
+            said = subprocess.run(
+                script, shell=True, env=environment, capture_output=True, text=True, check=True
+            ).stdout
+            if said == "(1020, 0, 0)\n":
+                break
         emulator.terminate()
         emulator.communicate(timeout=60)
     assert said == "(1020, 0, 0)\n"

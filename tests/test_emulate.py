@@ -16,6 +16,7 @@ import pytest
 
 from station.formats.rig import RigTable
 from station.rig_reading import joint_configs, packaged_names, read_rig
+from tests.drivers.line import PatientPort
 
 ROOT = Path(__file__).parent.parent
 PATIENCE_S = 60
@@ -44,7 +45,7 @@ def emulated(tmp: Path, *arguments: str) -> Iterator[tuple[subprocess.Popen[str]
 
 @contextmanager
 def client(path: str) -> Iterator[sdk.PortHandler]:
-    port = sdk.PortHandler(path)
+    port = PatientPort(path)
     assert port.openPort()
     try:
         yield port

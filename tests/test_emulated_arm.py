@@ -28,7 +28,7 @@ def with_simulation(text: str, lines: str) -> RigTable:
 
 @contextmanager
 def arm_and_bus(
-    table: RigTable, *, timeout_s: float = 0.2, **settings: object
+    table: RigTable, *, timeout_s: float = 0.5, **settings: object
 ) -> Iterator[tuple[EmulatedArm, DynamixelBus, VirtualClock]]:
     clock = VirtualClock()
     with (
