@@ -337,7 +337,9 @@ class EmulatedServo:
             self._alarm(new, t_ns)
         crossing = self._present.heat.crosses_ns(self._table.get("temperature_limit"))
         phase = (t_ns // STEP_NS + 1) * STEP_NS
-        if self.shaft.rigid:
+        if self.shaft.resting:
+            phase = max(self._protection.overload_ns(), t_ns + 1)
+        elif self.shaft.rigid:
             phase = self.shaft.profile.next_phase_ns(t_ns) or NEVER_NS
         change = self._changes[0][0] if self._changes else NEVER_NS
         self._due_ns = min(self._protection.watchdog_ns(), change, phase, NEVER_NS if crossing is None else crossing)

@@ -7,7 +7,7 @@ from enum import Enum
 from functools import cache
 
 from drivers.servo_models import Register, ServoModel
-from drivers.servo_models.register import DIRECTION_BIT
+from drivers.servo_models.register import DIRECTION_BIT, MAGNITUDE
 
 
 class Refusal(Enum):
@@ -32,7 +32,7 @@ class Refused(Exception):
 class Cell:
     """Where a register's bytes are, and what they can hold: what `Register.encode` finds out anew each time."""
 
-    __slots__ = ("_magnitude", "end", "high", "low", "modulus", "size", "start")
+    __slots__ = ("_magnitude", "_signed", "end", "high", "low", "modulus", "size", "start")
 
     def __init__(self, register: Register) -> None:
         self.start, self.size = register.address, register.size
@@ -40,6 +40,14 @@ class Cell:
         self.low, self.high = register.span
         self.modulus = 1 << 8 * register.size
         self._magnitude = register.encoding == "sign_magnitude"
+        self._signed = register.encoding == "twos_complement"
+
+    def value(self, memory: bytearray) -> int:
+        """What the register holds."""
+        value = int.from_bytes(memory[self.start : self.end], "little", signed=self._signed)
+        if self._magnitude:
+            return -(value & MAGNITUDE) if value & DIRECTION_BIT else value & MAGNITUDE
+        return value
 
     def bytes(self, value: int) -> bytes:
         """Bytes of the nearest value that the register can hold."""
@@ -63,14 +71,11 @@ class Table:
 
     def get(self, name: str) -> int:
         """The value of a register."""
-        at = self.registers.get(name) or self.model.register(name)
-        return at.decode(bytes(self._memory[at.address : at.address + at.size]))
+        return self._cell(name).value(self._memory)
 
     def set(self, name: str, value: int) -> None:
         """Set a register, whatever its access and range."""
-        if name not in self.cells:
-            self.model.register(name)  # raises, with the names that there are
-        self.fill(self.cells[name], value)
+        self.fill(self._cell(name), value)
 
     def put(self, register: Register, value: int) -> None:
         """Set a register to the nearest value that its bytes can hold."""
@@ -142,6 +147,10 @@ class Table:
         for register in self.registers.values():
             if register.name not in keep:
                 self.put(register, register.initial or 0)
+
+    def _cell(self, name: str) -> Cell:
+        cell = self.cells.get(name)
+        return cell or self.cells[self.model.register(name).name]  # which raises, with the names that there are
 
     def _target(self, address: int) -> int:
         """Where a byte of the table is: behind its indirect address if it is indirect data.

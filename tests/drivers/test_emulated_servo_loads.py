@@ -138,6 +138,16 @@ def test_the_shaft_stops_at_an_obstruction_and_goes_on_when_it_is_away() -> None
     assert alarms(servo) == ()
 
 
+def test_a_goal_away_from_an_obstruction_is_set_out_for_from_there() -> None:
+    servo = holding("XM430-W350", 2048, max_acceleration_rad_s2=1e6)
+    write(servo, "profile_velocity", 10, 0)
+    servo.obstruct(None, 0.05, 0)
+    write(servo, "goal_position", 2150, 0)  # its profile ends 0.1 rad beyond
+    assert servo.shaft_rad(2 * S) == 0.05
+    write(servo, "goal_position", 2000, 2 * S)
+    assert servo.shaft_rad(2 * S + S // 10) == pytest.approx(0.05 - 0.1 * 10 * 0.229 * RPM, abs=1e-6)
+
+
 def test_an_obstruction_never_moves_the_shaft() -> None:
     servo = holding("XM430-W350", 2500)
     standing = servo.shaft_rad(3 * S)

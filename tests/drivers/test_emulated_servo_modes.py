@@ -47,7 +47,10 @@ def test_pwm_mode_turns_in_proportion_to_the_output() -> None:
     assert servo.shaft_rad(S) == 0.0  # its goal is 0 at first
     write(servo, "goal_pwm", 885 // 3, S)
     assert servo.shaft.at(3 * S)[1] == pytest.approx(46 * RPM / 3, rel=1e-9)
-    assert read(servo, "present_pwm", 3 * S) == pytest.approx(2 * 885 // 3, abs=1)  # output, and the speed's voltage
+    assert read(servo, "present_pwm", 3 * S) == 885 // 3
+    assert read(servo, "present_current", 3 * S) == 0  # at the speed of no load
+    servo.obstruct(None, servo.shaft_rad(3 * S), 3 * S)
+    assert physical(servo, "present_current", 4 * S) == pytest.approx(2.3 / 3, abs=0.0027)
 
 
 def test_current_mode_turns_if_the_current_beats_friction() -> None:

@@ -119,6 +119,22 @@ def test_full_load_heats_by_the_first_order_law_until_it_is_too_hot() -> None:
     assert "overheating" in alarms(servo)
 
 
+def test_half_load_heats_a_quarter_as_much() -> None:
+    servo = EmulatedServo(1, "XM430-W350", load_nm=lambda _: -2.05)
+    write(servo, "torque_enable", 1, 0)
+    risen_c = FULL_LOAD_RISE_C / 4 * (1 - math.exp(-200 / TIME_CONSTANT_S))
+    assert read(servo, "present_temperature", 200 * S) == round(32 + risen_c)
+
+
+def test_too_hot_is_seen_at_its_very_time() -> None:
+    servo = EmulatedServo(1, "XM430-W350", eeprom={"operating_mode": 0})
+    write(servo, "torque_enable", 1, 0)
+    write(servo, "goal_current", 856, 0)  # 2.3 A, of the stall torque
+    too_hot_ns = round(-TIME_CONSTANT_S * math.log(1 - (80 - 32) / FULL_LOAD_RISE_C) * S)
+    assert has_torque(servo, too_hot_ns - MS)
+    assert not has_torque(servo, too_hot_ns + MS)
+
+
 def test_a_resting_servo_cools_to_its_surroundings() -> None:
     servo = EmulatedServo(1, "XM430-W350", temperature_c=60.0, ambient_c=20.0)
     servo.advance(0)
@@ -163,6 +179,19 @@ def test_the_watchdog_strikes_exactly_at_its_time_whenever_it_is_asked() -> None
         assert read(servo, "bus_watchdog", 2 * S) == -1
         assert servo.shaft.at(700 * MS)[1] == pytest.approx(46 * 2 * math.pi / 60)
         assert servo.shaft.at(701 * MS)[1] < 46 * 2 * math.pi / 60
+
+
+def test_after_the_watchdog_no_register_but_a_goal_starts_a_motion() -> None:
+    servo = EmulatedServo(1, "XM430-W350")
+    write(servo, "bus_watchdog", 5, 0)
+    write(servo, "torque_enable", 1, 0)
+    write(servo, "goal_position", 4000, 0)
+    write(servo, "bus_watchdog", 0, S)
+    standing = servo.shaft_rad(S)
+    write(servo, "profile_velocity", 100, S)
+    assert servo.shaft_rad(3 * S) == standing
+    write(servo, "goal_position", 4000, 3 * S)
+    assert read(servo, "present_position", 9 * S) == 4000
 
 
 def test_the_watchdog_watches_only_while_torque_is_on() -> None:
