@@ -218,7 +218,7 @@ class EmulatedServo:
         rad, rad_s = self.shaft.at(self._now_ns)
         if rad_s:
             raise Refused(Refusal.RESULT)
-        self._turn_again(rad)
+        self._present.frame = one_turn(self._table, rad)
         self.set("goal_position", self._present.frame.count(rad))
 
     def store_backup(self) -> None:

@@ -91,12 +91,9 @@ def test_what_is_sent_is_stuffed() -> None:
         assert os.read(far, 100) == stuffed
         port.closePort()
     with emulated(2.0) as bus, driver(bus.path, 2.0) as client:
-        turned = -0x20001  # FF FF FD FF, within the range of extended position mode
-        for id in (1, 2, 3):
-            client.write(id, "operating_mode", 4)
-        client.sync_write("goal_position", {1: turned, 2: turned})
-        client.write(3, "goal_position", turned)
-        assert [client.read(id, "goal_position") for id in (1, 2, 3)] == [turned] * 3
+        client.sync_write("goal_velocity", {1: value, 2: value})
+        client.write(3, "goal_velocity", value)
+        assert [client.read(id, "goal_velocity") for id in (1, 2, 3)] == [value] * 3
 
 
 def test_what_is_received_is_unstuffed_whole() -> None:
