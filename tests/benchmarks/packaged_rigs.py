@@ -1,4 +1,4 @@
-"""Every packaged rig through its own motion: is the arm's structure found, and how far are its angles from the read-back?
+"""Every packaged rig through its own motion: is the arm found, and how far are its angles from the read-back?
 
 Run: python tests/benchmarks/packaged_rigs.py [--rigs NAME ...] [--seeds N] [--workers N]
 """
