@@ -15,56 +15,50 @@ class NoPort(BusLost):
     """The serial port isn't there, can't be opened, or is held by another program: nothing was sent."""
 
 
-class NoReply(DriverError):
-    """A servo didn't answer within the deadline, retries included.
+class ServoError(DriverError):
+    """Root of the errors of one servo.
 
     Attributes:
         servo_id: the servo that was asked.
+        joint: the joint that it turns, None where it isn't known.
     """
 
-    def __init__(self, message: str, *, servo_id: int | None = None) -> None:
+    def __init__(self, message: str, *, servo_id: int, joint: str | None = None) -> None:
         super().__init__(message)
         self.servo_id = servo_id
+        self.joint = joint
 
 
-class CorruptReply(DriverError):
-    """A servo answered with bytes that are no valid status packet, or not the answer to the question.
-
-    Attributes:
-        servo_id: the servo that was asked.
-    """
-
-    def __init__(self, message: str, *, servo_id: int | None = None) -> None:
-        super().__init__(message)
-        self.servo_id = servo_id
+class NoReply(ServoError):
+    """A servo didn't answer within the deadline, retries included."""
 
 
-class ServoFault(DriverError):
-    """A servo refused an instruction, or reports a hardware error.
+class CorruptReply(ServoError):
+    """A servo answered with bytes that are no valid status packet, or not the answer to the question."""
+
+
+class ServoFault(ServoError):
+    """A servo refused an instruction, reports a hardware error, or doesn't keep what was written.
 
     Attributes:
-        servo_id: the servo that reported it.
         flags: the names of the reported error bits, for instance `("overload",)`.
     """
 
-    def __init__(self, message: str, *, servo_id: int | None = None, flags: tuple[str, ...] = ()) -> None:
-        super().__init__(message)
-        self.servo_id = servo_id
+    def __init__(self, message: str, *, servo_id: int, joint: str | None = None, flags: tuple[str, ...] = ()) -> None:
+        super().__init__(message, servo_id=servo_id, joint=joint)
         self.flags = flags
 
 
-class WrongModel(DriverError):
+class WrongModel(ServoError):
     """The servo with this id is of another model than the configuration says.
 
     Attributes:
-        servo_id: the servo that was asked.
         have: the model number it answered with.
         want: the model number of the configured model.
     """
 
-    def __init__(self, message: str, *, servo_id: int, have: int, want: int) -> None:
-        super().__init__(message)
-        self.servo_id = servo_id
+    def __init__(self, message: str, *, servo_id: int, joint: str | None = None, have: int, want: int) -> None:
+        super().__init__(message, servo_id=servo_id, joint=joint)
         self.have = have
         self.want = want
 
@@ -79,6 +73,18 @@ class ArmFault(DriverError):
     def __init__(self, message: str, *, joint: str | None = None) -> None:
         super().__init__(message)
         self.joint = joint
+
+
+class SafetyStop(ArmFault):
+    """A joint left the limits of safe use: too hot, too little voltage, too much load, or stalled.
+
+    Attributes:
+        what: "temperature", "voltage", "load" or "stall".
+    """
+
+    def __init__(self, message: str, *, joint: str, what: str) -> None:
+        super().__init__(message, joint=joint)
+        self.what = what
 
 
 class CameraError(DriverError):

@@ -28,11 +28,16 @@ _LOST = (OSError, termios.error, serial.SerialException, TypeError)  # TypeError
 
 @dataclass(frozen=True, slots=True)
 class Status:
-    """A status packet whose checksum was right."""
+    """A status packet whose checksum was right.
+
+    Attributes:
+        echo: whether it is, byte for byte, what was sent last: in protocol 1.0 instructions look like status packets.
+    """
 
     servo_id: int
     error: int
     parameters: bytes
+    echo: bool = False
 
 
 class FencedPort(PortHandler):
@@ -40,10 +45,11 @@ class FencedPort(PortHandler):
 
     def __init__(self, path: str, baud: int, reply_timeout_s: float | None) -> None:
         super().__init__(path)
+        self.path = path
         self.baudrate = baud
         self._reply_timeout_s = reply_timeout_s
         self._received = bytearray()
-        self._sent_bytes = 0
+        self.sent = b""  # the last packet that went out
         self._deadline_s = 0.0
         self._expired = True
         self.stale_bytes = 0  # bytes that came when none were expected
@@ -86,9 +92,9 @@ class FencedPort(PortHandler):
 
     def writePort(self, packet: list[int]) -> int:
         """Send the bytes of a packet."""
-        self._sent_bytes = len(packet)
+        self.sent = bytes(packet)
         try:
-            return self.ser.write(bytes(packet)) or 0
+            return self.ser.write(self.sent) or 0
         except _LOST as error:
             raise self._lost() from error
 
@@ -104,7 +110,7 @@ class FencedPort(PortHandler):
 
     def setPacketTimeout(self, packet_length: int) -> None:
         """Start waiting for a reply of this many bytes."""
-        wire_s = (self._sent_bytes + packet_length) * self.tx_time_per_byte / 1000
+        wire_s = (len(self.sent) + packet_length) * self.tx_time_per_byte / 1000
         wait_s = REPLY_MARGIN_S + wire_s if self._reply_timeout_s is None else self._reply_timeout_s
         self._deadline_s = time.monotonic() + wait_s
         self._expired = False
@@ -162,7 +168,8 @@ class FencedProtocol1(Protocol1PacketHandler):
             return None, result
         if packet[3] < 2:  # LENGTH counts error and checksum
             return None, COMM_RX_CORRUPT
-        return Status(packet[2], packet[4], bytes(packet[5 : packet[3] + 3])), result
+        parameters = bytes(packet[5 : packet[3] + 3])
+        return Status(packet[2], packet[4], parameters, echo=bytes(packet) == port.sent), result
 
 
 class FencedProtocol2(Protocol2PacketHandler):

@@ -17,7 +17,7 @@ from types import TracebackType
 import numpy as np
 
 from drivers.camera import Frame
-from drivers.errors import ArmFault, DriverError
+from drivers.errors import ArmFault, BusLost, DriverError, NoReply
 from station.logs import FloatArray
 from station.motion import Plan
 from station.perception.corners import MarkerDetector
@@ -35,6 +35,8 @@ ARRIVED_RAD = np.radians(2.0)
 # An approach may take this many times as long as at constant speed, plus the extra seconds, before it counts as stuck.
 PATIENCE = 1.5
 PATIENCE_S = 3.0
+# A bus that was lost is looked for this often.
+RECONNECT_EVERY_S = 0.2
 
 Progress = Callable[[float, float], None]
 
@@ -159,6 +161,8 @@ class Capture:
         except BaseException as error:
             self._event("ERROR", str(error) or type(error).__name__)
             with suppress(DriverError):  # it is in the log; the first error is the one to tell
+                self._halt()
+            with suppress(DriverError):
                 self._leave()
             raise
 
@@ -187,12 +191,12 @@ class Capture:
         arm, clock = self._rig.arm, self._rig.clock
         speeds = np.array([min(joint.max_speed, APPROACH_SPEED_RAD_S) for joint in self._plan.joints])
         arm.set_speeds(speeds)
-        distance = np.abs(arm.read().q_rad - goal)
+        distance = np.abs(arm.read().q - goal)
         arm.command(goal)
         deadline = clock.now_ns() + int(NS_PER_S * (PATIENCE_S + PATIENCE * float(np.max(distance / speeds))))
-        while np.any(np.abs(arm.read().q_rad - goal) > ARRIVED_RAD):
+        while np.any(np.abs(arm.read().q - goal) > ARRIVED_RAD):
             if clock.now_ns() > deadline:
-                far = np.degrees(arm.read().q_rad - goal)
+                far = np.degrees(arm.read().q - goal)
                 worst = int(np.argmax(np.abs(far)))
                 where = f"{arm.names[worst]} is {far[worst]:.1f} deg from its goal"
                 raise ArmFault(f"{where} and does not get there; is it blocked?", joint=arm.names[worst])
@@ -205,16 +209,20 @@ class Capture:
             pass  # frames from before the motion
         start_ns = clock.now_ns()
         times_s = plan.command_times_s()
-        due_ns = start_ns + np.round(times_s * NS_PER_S).astype(np.int64)
+        due_ns = np.round(times_s * NS_PER_S).astype(np.int64)
         goals, segments = plan.commanded(times_s), plan.segment_index(times_s)
         self._event("INFO", f"motion '{plan.motion.name}' starts: {plan.duration_s:.1f} s")
-        sent, turn, end_ns = 0, 0, start_ns + int(plan.duration_s * NS_PER_S)
-        while clock.now_ns() < end_ns:
-            due = int(np.searchsorted(due_ns, clock.now_ns(), side="right"))
-            if due > sent:  # of several that are due only the latest still counts
-                self._send(goals[due - 1], int(segments[due - 1]))
-                sent = due
-            self._read()
+        sent, turn, end_ns = 0, 0, int(plan.duration_s * NS_PER_S)
+        while (now_ns := clock.now_ns() - start_ns) < end_ns:
+            due = int(np.searchsorted(due_ns, now_ns, side="right"))
+            try:
+                if due > sent:  # of several that are due only the latest still counts
+                    self._send(goals[due - 1], int(segments[due - 1]))
+                    sent = due
+                self._read()
+            except BusLost as lost:
+                start_ns += self._regain(lost)
+                continue
             turn = max(turn + 1, int((clock.now_ns() - start_ns) * SERVO_RATE_HZ / NS_PER_S))
             next_ns = start_ns + int(turn * NS_PER_S / SERVO_RATE_HZ)
             while (frame := self._rig.camera.read(next_ns)) is not None:
@@ -222,6 +230,32 @@ class Capture:
             if self._progress is not None:
                 self._progress(min((clock.now_ns() - start_ns) / NS_PER_S, plan.duration_s), plan.duration_s)
         self._event("INFO", "motion done")
+
+    def _regain(self, lost: BusLost) -> int:
+        """Wait for a lost bus as long as the rig says, go back to where the arm was to be; returns the ns it took.
+
+        Raises `lost` where the rig doesn't wait or the bus doesn't come back; what the arm raises when it is back.
+        """
+        arm, clock, patience_s = self._rig.arm, self._rig.clock, self._rig.table.safety.reconnect_s
+        lost_ns = clock.now_ns()
+        if patience_s <= 0:
+            raise lost
+        self._event("WARN", f"{lost}\nwaiting {patience_s:g} s for it")
+        while True:
+            try:
+                arm.connect()
+                self._powered = True
+                arm.torque_on()
+                self._approach(self._standing)
+                break
+            except (BusLost, NoReply):
+                if clock.now_ns() - lost_ns > patience_s * NS_PER_S:
+                    raise lost from None
+                clock.sleep_until_ns(clock.now_ns() + int(RECONNECT_EVERY_S * NS_PER_S))
+        self._segment = -1  # the next command sets its speeds again
+        gone_ns = clock.now_ns() - lost_ns
+        self._event("INFO", f"the bus is back; the motion goes on, {gone_ns / NS_PER_S:.1f} s later than planned")
+        return gone_ns
 
     def _send(self, goal: FloatArray, segment: int) -> None:
         """Command a goal; where a segment begins, with its speeds."""
@@ -243,8 +277,13 @@ class Capture:
         """Read the joints back and record them beside the command that stands."""
         reading = self._rig.arm.read()
         self._writer.log_command(reading.t_request_ns, self._standing)
-        self._writer.log_reading(reading.t_request_ns, reading.t_reply_ns, reading.q_rad, reading.t_joint_ns)
+        self._writer.log_reading(reading.t_request_ns, reading.t_reply_ns, reading.q, reading.t_joint_ns)
         self._readings += 1
+
+    def _halt(self) -> None:
+        """After a failure: stay where the arm is before anything else, so that it doesn't run on to its last goal."""
+        if self._powered and self._rig.table.safety.at_exit != "release":
+            self._rig.arm.stop()
 
     def _leave(self) -> None:
         """Leave the arm as the rig declares: each step is tried, the first failure is raised when all have been."""
@@ -253,8 +292,7 @@ class Capture:
         steps: list[Callable[[], None]] = []
         if at_exit == "park-then-release":
             steps.append(lambda: self._approach(self._plan.park))
-        if at_exit != "hold":
-            steps.append(self._rig.arm.torque_off)
+        steps.append(self._rig.arm.leave_holding if at_exit == "hold" else self._rig.arm.torque_off)
         for step in steps if self._powered else ():
             try:
                 step()

@@ -15,24 +15,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.intrinsics import CameraModel
-from drivers.arm import Arm, JointConfig, ServoConfig
+from drivers.arm import Arm
 from drivers.camera import Camera
 from drivers.clock import Clock, MonotonicClock, VirtualClock
 from drivers.dynamixel import DynamixelBus
 from drivers.emulated_bus import EmulatedBus
 from drivers.emulated_servo import EmulatedServo
+from drivers.errors import DriverError
+from drivers.joints import JointConfig, ServoConfig
 from drivers.rendered_camera import RenderedCamera
-from drivers.servo_models import load_model
+from drivers.safety import SafetyLimits
 from drivers.webcam import Webcam
-from station.errors import InvalidData
+from station.errors import InvalidData, InvalidFile
 from station.formats.rig import (
     EMULATED,
     RENDERED,
     RigTable,
+    ServoTable,
     load_calibration,
     parse_rig,
 )
-from station.formats.simulation import SimulatedCamera, SimulationTable
+from station.formats.simulation import MM_PER_M, SimulatedCamera, SimulationTable
 from station.formats.text import read_text
 from station.logs import FloatArray
 from station.perception.markers import MarkerTable
@@ -82,6 +85,10 @@ def load_rig(name_or_path: str) -> RigFile:
     path = packaged("rigs", name_or_path)
     text = read_text(path, "rig", f"packaged ones are {', '.join(packaged_names('rigs'))}")
     table = parse_rig(text, str(path))
+    try:
+        joint_configs(table)
+    except DriverError as error:
+        raise InvalidFile(f"{path}: {error}") from error
     return RigFile(table, text, str(path), load_calibration(table, path.parent, str(path)))
 
 
@@ -119,8 +126,13 @@ def open_rig(rig: RigFile, *, simulate: bool = False, realtime: bool = False, se
         client = DynamixelBus(
             port, baud=table.bus.baud, protocol=table.bus.protocol, clock=clock, reply_timeout_s=timeout_s
         )
-        disagreement_rad = float(np.radians(table.safety.disagreement_deg))
-        arm = Arm(stack.enter_context(client), _joint_configs(table), clock, disagreement_rad=disagreement_rad)
+        arm = Arm(
+            stack.enter_context(client),
+            joint_configs(table),
+            clock,
+            disagreement_rad=float(np.radians(table.safety.disagreement_deg)),
+            limits=safety_limits(table),
+        )
         if bus is not None and simulation is not None and rendered:
             stage = Stage(table, simulation, rig.camera_model, seed or 0)
             camera: Camera = _rendered_camera(table, simulation.camera, stage, bus, clock, realtime=not virtual)
@@ -136,48 +148,68 @@ def _size(table: RigTable) -> tuple[int, int]:
     return (table.camera.size_px[0], table.camera.size_px[1])
 
 
-def _joint_configs(table: RigTable) -> tuple[JointConfig, ...]:
+def joint_configs(table: RigTable) -> tuple[JointConfig, ...]:
+    """The rig's joints as the arm takes them; raises DriverError for what its servos can't be."""
     return tuple(
         JointConfig(
             name=joint.name,
-            servos=tuple(ServoConfig(servo.id, servo.model, servo.zero, servo.sign) for servo in joint.servo),
-            lower_rad=limits.lower,
-            upper_rad=limits.upper,
-            max_speed_rad_s=limits.max_speed,
+            servos=tuple(
+                ServoConfig(servo.id, servo.model, servo.zero, servo.sign, _ratio(servo), servo.ganging, servo.reversed)
+                for servo in joint.servo
+            ),
+            lower=limits.lower,
+            upper=limits.upper,
+            max_speed=limits.max_speed,
+            unit=limits.unit,
         )
         for joint, limits in zip(table.joint, table.limits(), strict=True)
     )
 
 
+def _ratio(servo: ServoTable) -> float:
+    """Turn of the servo for one unit of the joint, rad/rad or rad/m."""
+    return servo.gear or 1.0 if servo.lead_mm is None else 2 * np.pi / (servo.lead_mm / MM_PER_M)
+
+
+def safety_limits(table: RigTable) -> SafetyLimits:
+    """The rig's thresholds as the arm takes them."""
+    safety = table.safety
+    return SafetyLimits(
+        max_temperature_c=safety.max_temperature_c,
+        min_voltage_v=safety.min_voltage_v,
+        max_voltage_v=safety.max_voltage_v,
+        max_load=safety.max_load,
+        stall_load=safety.stall_load,
+        stall_s=safety.stall_s,
+        watchdog_s=safety.watchdog_s,
+    )
+
+
 class EmulatedArm(EmulatedBus):
-    """The emulated bus of a rig's servos, standing at the park pose, and the joints' true angles behind it."""
+    """The emulated bus of a rig's servos, standing at the park pose, and the joints' true states behind it."""
 
     def __init__(self, table: RigTable, simulation: SimulationTable, clock: Clock) -> None:
+        self._joints = joint_configs(table)
         acceleration = float(np.radians(simulation.max_acceleration_deg_s2))
-        servos: list[EmulatedServo] = []
-        self._turns: list[list[tuple[int, int, float]]] = []  # of each joint: servo id, sign, shaft angle at zero
-        for joint in table.joint:
-            turns: list[tuple[int, int, float]] = []
-            for servo in joint.servo:
-                model = load_model(servo.model)
-                zero = model.zero_count if servo.zero is None else servo.zero
-                park = round(zero + servo.sign * np.radians(joint.park_deg) / model.rad_per_count)
-                servos.append(
-                    EmulatedServo(servo.id, servo.model, initial_count=park, max_acceleration_rad_s2=acceleration)
-                )
-                turns.append((servo.id, servo.sign, (zero - model.zero_count) * model.rad_per_count))
-            self._turns.append(turns)
+        servos = [
+            EmulatedServo(
+                servo.id, servo.model, initial_count=servo.count(limits.park), max_acceleration_rad_s2=acceleration
+            )
+            for joint, limits in zip(self._joints, table.limits(), strict=True)
+            for servo in joint.servos
+        ]
         super().__init__(servos, protocol=table.bus.protocol, baud=table.bus.baud, clock=clock)
 
-    def joint_rad(self, t_ns: int) -> FloatArray:
-        """(J,) true joint angles at a time of the clock: the mean of the servos that turn each."""
+    def joint_states(self, t_ns: int) -> FloatArray:
+        """(J,) true joint states, rad or m, at a time of the clock: the mean of the servos that turn each."""
         return np.array(
-            [
-                sum(sign * (self.shaft_rad(servo, t_ns) - zero) for servo, sign, zero in turns) / len(turns)
-                for turns in self._turns
-            ],
+            [sum(self._state(servo, t_ns) for servo in joint.servos) / len(joint.servos) for joint in self._joints],
             dtype=np.float64,
         )
+
+    def _state(self, servo: ServoConfig, t_ns: int) -> float:
+        zero_rad = (servo.zero - servo.table.zero_count) * servo.table.rad_per_count
+        return servo.sign * (self.shaft_rad(servo.id, t_ns) - zero_rad) / servo.ratio
 
 
 def _rendered_camera(
@@ -187,7 +219,7 @@ def _rendered_camera(
     offsets_ns = np.round(shares * camera.exposure_s * 1e9).astype(int).tolist()
 
     def render(t_mid_ns: int, index: int) -> NDArray[np.uint8]:
-        return stage.render(np.stack([bus.joint_rad(t_mid_ns + offset) for offset in offsets_ns]), index)
+        return stage.render(np.stack([bus.joint_states(t_mid_ns + offset) for offset in offsets_ns]), index)
 
     return RenderedCamera(
         render,

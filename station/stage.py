@@ -45,11 +45,11 @@ def mechanism(simulation: SimulationTable) -> KinematicTree:
     joints = tuple(
         Joint(
             name=joint.name,
-            type="revolute",
+            type=joint.type,
             parent=joint.parent,
             child=joint.child,
             axis_parent=_unit(joint.axis),
-            point_parent_m=metres(joint.point_mm),
+            point_parent_m=metres(joint.point_mm) if joint.type == "revolute" else None,
             T_parent_child_zero=np.eye(4),
         )
         for joint in simulation.joint

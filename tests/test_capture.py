@@ -166,7 +166,7 @@ def test_a_failure_in_mid_motion_parks_and_releases_the_arm(tmp_path: Path):
         failing = with_camera(rig, FailingCamera(rig.camera, after=20))
         with pytest.raises(CameraStalled):
             Capture(failing, planned(tmp_path), writer).run()
-        assert np.abs(np.degrees(rig.arm.read().q_rad)).max() < 2.5  # parked
+        assert np.abs(np.degrees(rig.arm.read().q)).max() < 2.5  # parked
     assert writer.state == "interrupted"
     assert writer.events[-1] == "INFO arm left: park-then-release"
     assert "ERROR camera 0: no frame for 2 s" in writer.events
@@ -217,7 +217,7 @@ def test_a_blocked_approach_is_a_fault_with_the_joints_name(tmp_path: Path, monk
         rig.arm.connect()
         still = rig.arm.read()
         monkeypatch.setattr(rig.arm, "command", lambda goal: rig.clock.now_ns())
-        stuck = replace(still, q_rad=np.array([0.0, 0.3, 0.0, 0.0]))
+        stuck = replace(still, q=np.array([0.0, 0.3, 0.0, 0.0]))
         monkeypatch.setattr(rig.arm, "read", lambda: stuck)
         with pytest.raises(ArmFault, match=r"shoulder is 17\.2 deg from its goal"):
             Capture(rig, plan, writer).run()

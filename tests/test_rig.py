@@ -162,7 +162,7 @@ def test_the_picture_shows_the_arms_actual_angles_in_the_middle_of_the_exposure(
     assert frame is not None
     stage = Stage(rig_file.table, simulation, rig_file.camera_model, seed=3)
     t_mid_ns = frame.t_ns - (simulation.camera.latency_s + simulation.camera.exposure_s / 2) * 1e9
-    q = [np.interp(t_mid_ns, [r.t_ns for r in readings], [r.q_rad[j] for r in readings]) for j in range(4)]
+    q = [np.interp(t_mid_ns, [r.t_ns for r in readings], [r.q[j] for r in readings]) for j in range(4)]
     assert np.radians(1) < q[0] < np.radians(10)  # on its way
     truth = projected(stage, rig_file.camera_model, np.array(q), body=3)
     seen = corners_seen(frame.image)

@@ -126,6 +126,19 @@ class ServoModel:
         return tuple(self.error_bits.get(bit, f"bit {bit}") for bit in range(8) if bits >> bit & 1)
 
     @property
+    def status_registers(self) -> tuple[str, str, str, str, str]:
+        """Position, speed, load or current, voltage, temperature: near each other, to be read at once."""
+        effort = "present_load" if "present_load" in self.registers else self.effort_register
+        return (
+            "present_position", self.present_speed_register, effort, self.voltage_register, "present_temperature",
+        )  # fmt: skip
+
+    def load_share(self, register: str, count: int) -> float:
+        """A load or current as a share of the most that there is: of the stall current at nominal voltage."""
+        amount = self.registers[register].physical(count)
+        return amount / self.stall_a if _unit(self.registers[register]).si == "A" else amount
+
+    @property
     def rad_per_count(self) -> float:
         """Angle of one position count."""
         return _unit(self.registers["goal_position"]).per_count

@@ -6,7 +6,6 @@ import math
 from pathlib import Path
 from typing import Annotated, Literal
 
-import numpy as np
 from pydantic import Field, field_validator, model_validator
 
 from calibration.errors import CalibrationError
@@ -14,11 +13,11 @@ from calibration.intrinsics import CameraModel
 from station.errors import InvalidData, InvalidFile
 from station.formats.camera import CameraTable, parse_camera
 from station.formats.markers import MarkersModel
-from station.formats.simulation import NotNegative, Positive, SimulationTable, check_simulation
+from station.formats.simulation import MM_PER_M, NotNegative, Positive, SimulationTable, check_simulation
 from station.formats.text import read_text
 from station.formats.toml_models import StrictModel, parse
 from station.logs import check_slugs
-from station.motion import JointLimits
+from station.motion import JointLimits, Unit
 from station.perception.markers import MarkerTable
 
 RIG_SCHEMA = "rig/1"
@@ -48,39 +47,67 @@ class BusTable(StrictModel):
 class ServoTable(StrictModel):
     """`[[joint.servo]]`: zero is the position count at which the joint is at zero (the model's centre if not given).
 
-    Servos that turn one joint together each get their own goal (ganging = "software"), mirrored by their sign.
+    gear is servo turns for one turn of the joint; lead_mm how far a prismatic joint goes in one turn of the servo.
+    ganging is of every servo but the joint's first: "software" (each gets its own goal, mirrored by its sign),
+    "secondary_id" (it takes the first one's goals) or "sync_cable" (its motor follows the first one's). reversed is
+    what the drive mode's reverse bit must be.
     """
 
     id: Annotated[int, Field(ge=0, le=252)]
     model: str
     zero: Annotated[int, Field(ge=0)] | None = None
     sign: Literal[1, -1] = 1
-    ganging: Literal["software"] | None = None
+    gear: Positive | None = None
+    lead_mm: Positive | None = None
+    reversed: bool | None = None
+    ganging: Literal["software", "secondary_id", "sync_cable"] | None = None
 
 
 class JointTable(StrictModel):
-    """`[[joint]]`: a revolute joint of the arm and the servos that turn it."""
+    """`[[joint]]`: a joint of the arm and the servos that turn it; revolute with _deg keys, prismatic with _mm keys."""
 
     name: str
-    limits_deg: Pair
-    max_speed_deg_s: Positive
-    park_deg: float = 0.0
+    limits_deg: Pair | None = None
+    limits_mm: Pair | None = None
+    max_speed_deg_s: Positive | None = None
+    max_speed_mm_s: Positive | None = None
+    park_deg: float | None = None
+    park_mm: float | None = None
     servo: Annotated[list[ServoTable], Field(min_length=1)]
 
     @model_validator(mode="after")
     def _check(self) -> JointTable:
-        lower, upper = self.limits_deg
-        if not lower <= self.park_deg <= upper or lower == upper:
-            have = f"{self.limits_deg}, {self.park_deg}"
-            raise ValueError(f"want limits_deg = [lower, upper] with park_deg between; have {have}")
+        limits, _, park = self._keys()
+        unit = "deg" if self.unit == "rad" else "mm"
+        lower, upper = limits
+        if not lower <= park <= upper or lower == upper:
+            raise ValueError(f"want limits_{unit} = [lower, upper] with park_{unit} between; have {limits}, {park}")
         if len(self.servo) > 1 and any(servo.ganging is None for servo in self.servo[1:]):
-            raise ValueError('a joint with several servos needs ganging = "software" on each but the first')
+            raise ValueError('a joint with several servos needs ganging (such as "software") on each but the first')
+        for servo in self.servo:
+            if (servo.lead_mm is None) != (unit == "deg") or (unit == "mm" and servo.gear is not None):
+                raise ValueError("servos of a prismatic joint have lead_mm (and no gear), those of others have none")
         return self
 
+    @property
+    def unit(self) -> Unit:
+        """What the joint's states are in: rad, of a prismatic joint m."""
+        return "rad" if self.limits_deg is not None else "m"
+
+    def _keys(self) -> tuple[list[float], float, float]:
+        """Limits, greatest speed and park position as the file has them; raises ValueError for a mixture of units."""
+        deg = self.limits_deg, self.max_speed_deg_s, self.park_deg
+        mm = self.limits_mm, self.max_speed_mm_s, self.park_mm
+        for (limits, max_speed, park), others in ((deg, mm), (mm, deg)):
+            if limits is not None and max_speed is not None and others == (None, None, None):
+                return limits, max_speed, park or 0.0
+        raise ValueError("want limits_deg and max_speed_deg_s, or, of a prismatic joint, limits_mm and max_speed_mm_s")
+
     def limits(self) -> JointLimits:
-        """The joint's limits in radians."""
-        lower, upper = np.radians(self.limits_deg).tolist()
-        return JointLimits(self.name, lower, upper, math.radians(self.max_speed_deg_s), math.radians(self.park_deg))
+        """The joint's limits in radians, of a prismatic joint in metres."""
+        (lower, upper), max_speed, park = self._keys()
+        each = math.radians(1.0) if self.unit == "rad" else 1.0 / MM_PER_M
+        return JointLimits(self.name, lower * each, upper * each, max_speed * each, park * each, self.unit)
 
 
 class CameraSettings(StrictModel):
@@ -98,10 +125,24 @@ class CameraSettings(StrictModel):
 
 
 class SafetyTable(StrictModel):
-    """`[safety]`: the state in which every exit leaves the arm, and what counts as a fault."""
+    """`[safety]`: the state in which every exit leaves the arm, and what counts as a fault.
+
+    Temperatures and voltages that aren't given are the servos' own limits (5 degC under the one at which they switch
+    off). Loads are shares of the most that a servo has. 0 switches stall_s, watchdog_s and reconnect_s off: the time
+    after which a joint under load that doesn't move counts as stalled, after which servos stop by themselves when they
+    hear nothing, and for which a capture waits for a bus that was lost.
+    """
 
     at_exit: Literal["park-then-release", "hold", "release"] = "park-then-release"
     disagreement_deg: Positive = 5.0
+    max_temperature_c: Positive | None = None
+    min_voltage_v: Positive | None = None
+    max_voltage_v: Positive | None = None
+    max_load: Positive | None = None
+    stall_load: Positive = 0.5
+    stall_s: NotNegative = 1.0
+    watchdog_s: Annotated[float, Field(ge=0, le=2.54)] = 1.0
+    reconnect_s: NotNegative = 0.0
 
 
 class RigTable(StrictModel):
@@ -129,7 +170,7 @@ class RigTable(StrictModel):
             if self.bus.port == EMULATED or self.camera.source == RENDERED:
                 raise ValueError('port "emulated" and source "rendered" need a [simulation]')
         else:
-            check_simulation(self.simulation, {joint.name for joint in self.joint}, ids)
+            check_simulation(self.simulation, {joint.name: joint.unit for joint in self.joint}, ids)
         return self
 
     def limits(self) -> tuple[JointLimits, ...]:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from collections.abc import Mapping
+from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import Field
@@ -23,13 +24,17 @@ def metres(values_mm: list[float]) -> FloatArray:
 
 
 class SimulatedJoint(StrictModel):
-    """`[[simulation.joint]]`: where the joint of that name really is, in the root's frame with all joints at zero."""
+    """`[[simulation.joint]]`: where the joint of that name really is, in the root's frame with all joints at zero.
+
+    point_mm, a point of a revolute joint's axis, means nothing for a prismatic one.
+    """
 
     name: str
+    type: Literal["revolute", "prismatic"] = "revolute"
     parent: str
     child: str
     axis: Vector
-    point_mm: Vector
+    point_mm: Vector = Field(default_factory=lambda: [0.0, 0.0, 0.0])
 
 
 class SimulatedPlate(StrictModel):
@@ -93,10 +98,10 @@ class SimulationTable(StrictModel):
         return (self.root, *(joint.child for joint in self.joint))
 
 
-def check_simulation(simulation: SimulationTable, joints: set[str], ids: set[int]) -> None:
+def check_simulation(simulation: SimulationTable, joints: Mapping[str, str], ids: set[int]) -> None:
     """Raise ValueError for joints, bodies or plates that the rig or the simulation itself doesn't have."""
     have = {joint.name for joint in simulation.joint}
-    if have != joints or len(simulation.joint) != len(joints):
+    if have != set(joints) or len(simulation.joint) != len(joints):
         both = f"the rig has {sorted(joints)}, it places {sorted(have)}"
         raise ValueError(f"[simulation] must place each joint once; {both}")
     placed = {simulation.root}
@@ -104,6 +109,8 @@ def check_simulation(simulation: SimulationTable, joints: set[str], ids: set[int
         if joint.parent not in placed or joint.child in placed:
             raise ValueError(f"simulated joint '{joint.name}': the parent must stand before it, the child must be new")
         placed.add(joint.child)
+        if (joint.type == "prismatic") != (joints[joint.name] == "m"):
+            raise ValueError(f"simulated joint '{joint.name}' is {joint.type}; the rig's limits are in other units")
     for item in (*simulation.plate, *simulation.box):
         if item.body not in placed:
             raise ValueError(f"no simulated body '{item.body}'; have {', '.join(sorted(placed))}")

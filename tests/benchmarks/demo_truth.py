@@ -23,13 +23,13 @@ from tests.benchmarks.demo_seeds import BODIES, JOINTS
 def capture_with_truth(out: Path, seed: int) -> tuple[np.ndarray, np.ndarray]:
     """Run the demo into `out`; times [s] and true angles (F, 4) [rad] at which its frames were rendered."""
     asked: dict[int, np.ndarray] = {}
-    true_angles = EmulatedArm.joint_rad
+    true_angles = EmulatedArm.joint_states
 
-    def joint_rad(self: EmulatedArm, t_ns: int) -> np.ndarray:
+    def joint_states(self: EmulatedArm, t_ns: int) -> np.ndarray:
         asked[t_ns] = true_angles(self, t_ns)
         return asked[t_ns]
 
-    with mock.patch.object(EmulatedArm, "joint_rad", joint_rad):
+    with mock.patch.object(EmulatedArm, "joint_states", joint_states):
         commands.run("demo", "demo", out, seed=seed)
     t_ns = np.array(sorted(asked))
     return t_ns * 1e-9, np.stack([asked[t] for t in t_ns])

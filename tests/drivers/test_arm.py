@@ -10,12 +10,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from drivers.arm import Arm, JointConfig, ServoConfig
+from drivers.arm import Arm
 from drivers.clock import VirtualClock
 from drivers.dynamixel import DynamixelBus
 from drivers.emulated_bus import AlterReply, EmulatedBus
 from drivers.emulated_servo import EmulatedServo
 from drivers.errors import ArmFault, BusLost, DriverError, NoReply, ServoFault, WrongModel
+from drivers.joints import JointConfig, ServoConfig
 from drivers.packets import FrameReader, Instruction
 from drivers.servo_models import load_model
 
@@ -32,8 +33,10 @@ def paper_joints(model: str) -> tuple[JointConfig, ...]:
 
     return (
         joint("base", ServoConfig(1, model)),
-        joint("shoulder", ServoConfig(2, model, zero + 20), ServoConfig(3, model, zero - 11, sign=-1)),
-        joint("elbow", ServoConfig(4, model), ServoConfig(5, model, sign=-1)),
+        joint(
+            "shoulder", ServoConfig(2, model, zero + 20), ServoConfig(3, model, zero - 11, sign=-1, ganging="software")
+        ),
+        joint("elbow", ServoConfig(4, model), ServoConfig(5, model, sign=-1, ganging="software")),
         joint("wrist", ServoConfig(6, model, sign=-1)),
     )
 
@@ -88,12 +91,12 @@ def test_joints_go_where_they_are_sent(model: str, protocol: float) -> None:
         assert arm.names == ("base", "shoulder", "elbow", "wrist")
         goal = [1.0, -0.7, 0.4, 1.4]
         stamp_ns = arm.command(goal)
-        assert np.abs(arm.read().q_rad).max() < 0.02  # it takes time
+        assert np.abs(arm.read().q).max() < 0.02  # it takes time
         assert stamp_ns < b.clock.now_ns()
         b.pass_s(3)
         reading = arm.read()
         count = load_model(model).rad_per_count
-        np.testing.assert_allclose(reading.q_rad, goal, atol=count / 2 + 1e-12)
+        np.testing.assert_allclose(reading.q, goal, atol=count / 2 + 1e-12)
         shafts = [b.emulated.shaft_rad(id, b.clock.now_ns()) for id in range(1, 7)]
         # sign * (shaft - shaft at zero), the mirrored ones against the others; half a count
         np.testing.assert_allclose(
@@ -125,7 +128,7 @@ def test_a_reading_is_stamped(model: str, protocol: float) -> None:
         reading = arm.read()
         assert before_ns <= reading.t_request_ns < reading.t_ns < reading.t_reply_ns == b.clock.now_ns()
         assert np.all((reading.t_request_ns < reading.t_joint_ns) & (reading.t_joint_ns < reading.t_reply_ns))
-        assert reading.q_rad.flags.writeable is False
+        assert reading.q.flags.writeable is False
 
 
 @BOTH
@@ -181,12 +184,12 @@ def test_torque_on_moves_nothing(model: str, protocol: float) -> None:
         counts[5] = 1024 - 600
     with bench(model, protocol, joints=joints, counts=counts) as b:
         b.arm.connect()
-        before = b.arm.read().q_rad
+        before = b.arm.read().q
         b.bus.write(1, "goal_position", 300)  # left behind by another program
         b.arm.torque_on()
         assert all(servo.get("torque_enable") for servo in b.servos.values())
         b.pass_s(2)
-        np.testing.assert_array_equal(b.arm.read().q_rad, before)
+        np.testing.assert_array_equal(b.arm.read().q, before)
         # and even without set_speeds it is limited, to the joints' own speeds
         register = load_model(model).speed_register
         assert all(0 < b.bus.read(id, register) * load_model(model).speed_unit_rad_s <= 1.6 for id in b.servos)
@@ -200,7 +203,7 @@ def test_a_command_outside_the_limits_sends_nothing(model: str, protocol: float)
         arm = ready(b)
         before_ns, goals = b.clock.now_ns(), [servo.get("goal_position") for servo in b.servos.values()]
         for q, message in (
-            ([0, 0, 1.51, 0], r"'elbow': commanded to 86.52 deg; its limits are -85.94 to 85.94 deg"),
+            ([0, 0, 1.51, 0], r"'elbow': commanded to 86.52 deg; its limits are -85.94 deg to 85.94 deg"),
             ([0, 0, 0, math.nan], "'wrist'"),
             ([0, 0, 0], "shape"),
         ):
@@ -226,7 +229,7 @@ def test_nothing_is_commanded_before_connect_and_torque() -> None:
 def test_a_servo_of_another_model_is_found_before_any_write(model: str, protocol: float) -> None:
     other = {"AX-18A": "AX-12A", "XM430-W350": "XL430-W250"}[model]
     joints = list(paper_joints(model))
-    joints[2] = replace(joints[2], servos=(ServoConfig(4, model), ServoConfig(5, other)))
+    joints[2] = replace(joints[2], servos=(ServoConfig(4, model), ServoConfig(5, other, ganging="software")))
     sent = FrameReader(protocol)
     with bench(model, protocol, joints=joints) as b:
         written: list[bytes] = []
@@ -264,7 +267,7 @@ def test_an_alarm_is_a_fault_of_the_joint(model: str, protocol: float) -> None:
 def test_ganged_servos_that_disagree_are_a_fault() -> None:
     with bench(counts={2: 532, 3: 501 + 40}) as b:  # 40 counts: 11.7 deg
         b.arm.connect()
-        with pytest.raises(ArmFault, match=r"'shoulder'.*servo 2 at 0.0 deg, servo 3 at -11.7 deg") as caught:
+        with pytest.raises(ArmFault, match=r"'shoulder'.*servo 2 at 0.00 deg, servo 3 at -11.73 deg") as caught:
             b.arm.read()
         assert caught.value.joint == "shoulder"
 
@@ -279,7 +282,7 @@ def test_settings_that_cannot_work_are_told_at_connect() -> None:
 
     assert "servo 4 (elbow)" in (text := connect("AX-18A", 1.0, "status_return_level", 1))
     assert "its status return level is 1, set it to 2" in text
-    assert "operating mode 1" in connect("XM430-W350", 2.0, "operating_mode", 1)
+    assert "is in velocity mode" in connect("XM430-W350", 2.0, "operating_mode", 1)
     assert "time-based profile" in connect("XM430-W350", 2.0, "drive_mode", 4)
     assert "limits are 219 to 805" in connect("AX-18A", 1.0, "cw_angle_limit", 300)
     assert "answers pings, but no reads" in connect("XM430-W350", 2.0, "status_return_level", 0)
@@ -319,7 +322,7 @@ def test_wrong_configurations_say_so() -> None:
     with pytest.raises(DriverError, match=r"AX-18A doesn't speak 2\.0"):
         Arm(bus, [JointConfig("a", (servo,), -1, 1, 1)], clock)
     with pytest.raises(DriverError, match="a servo appears twice"):
-        Arm(bus, [JointConfig("a", (servo, servo), -1, 1, 1)], clock)
+        Arm(bus, [JointConfig(name, (servo,), -1, 1, 1) for name in "ab"], clock)
 
 
 @BOTH
@@ -331,7 +334,7 @@ def test_two_runs_of_a_motion_are_the_same(model: str, protocol: float) -> None:
             for k in range(40):
                 seen.append(arm.command([0.03 * k, 0.5, -0.02 * k, 1.0 if k % 20 < 10 else -1.0]))
                 reading = arm.read()
-                seen.append((reading.t_request_ns, reading.t_reply_ns, reading.q_rad.tobytes()))
+                seen.append((reading.t_request_ns, reading.t_reply_ns, reading.q.tobytes()))
                 b.pass_s(0.02)
             arm.torque_off()
             seen.append(b.clock.now_ns())
