@@ -91,6 +91,7 @@ class Arm:
             if bus.protocol not in servo.table.protocols:
                 raise DriverError(f"servo {servo.id} ({joint.name}): {servo.model} doesn't speak {bus.protocol:.1f}")
             bus.label(servo.id, joint.name)
+        self._status_registers = {servo.id: servo.table.status_registers for _, servo in self._servos()}
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -224,7 +225,7 @@ class Arm:
             SafetyStop: for a temperature, voltage or load outside the limits, and for a stall.
         """
         watch = self._need_connection()
-        blocks = self._bus.read_blocks({servo.id: servo.table.status_registers for _, servo in self._servos()})
+        blocks = self._bus.read_blocks(self._status_registers)
         self._check_alarms()
         self._check_silence(min(block.t_request_ns for block in blocks.values()))
         states = {servo.id: _state(servo, blocks[servo.id]) for _, servo in self._servos()}
