@@ -193,7 +193,11 @@ class EmulatedArm(EmulatedBus):
         acceleration = float(np.radians(simulation.max_acceleration_deg_s2))
         servos = [
             EmulatedServo(
-                servo.id, servo.model, initial_count=servo.count(limits.park), max_acceleration_rad_s2=acceleration
+                servo.id,
+                servo.model,
+                initial_count=servo.count(limits.park),
+                max_acceleration_rad_s2=acceleration,
+                voltage_v=servo.table.nominal_v,
             )
             for joint, limits in zip(self._joints, table.limits(), strict=True)
             for servo in joint.servos
