@@ -20,7 +20,7 @@ JOINTS_OF_PACKAGED_RIGS = {
     "crustcrawler_ax18a": 5,
     "demo": 4,
     "koch_v1_1": 6,
-    "openmanipulator_x": 4,
+    "openmanipulator_x": 5,
     "vx300s": 7,
     "wx250s": 7,
 }
