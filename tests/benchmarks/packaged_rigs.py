@@ -8,7 +8,7 @@ from __future__ import annotations
 import argparse
 import tempfile
 import time
-from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,7 +17,6 @@ from station.fit_files import read_fit
 from station.formats.rig import RigTable
 from station.kinematics.tree import KinematicTree
 from station.rig import load_rig, packaged_names
-from tests.benchmarks.arguments import each
 from tests.benchmarks.demo_seeds import rmse_deg
 
 
@@ -65,25 +64,28 @@ def run_rig(job: tuple[str, int]) -> RigRun:
     return RigRun(rig, seed, right, rmse_deg(comparison), time.perf_counter() - start_s)
 
 
-def rows(runs: list[RigRun]) -> Iterator[str]:
-    """A table in text: a row a session."""
-    yield f"{'rig':<18} seed  structure  time [s]  RMSE against read-back [deg]"
-    for run in runs:
-        errors = "  ".join(f"{joint} {error:.3f}" for joint, error in run.rmse_deg.items())
-        yield f"{run.rig:<18} {run.seed:4}  {'right' if run.right else 'WRONG':9}  {run.wall_s:8.1f}  {errors}"
-    worst = max((error for run in runs for error in run.rmse_deg.values()), default=float("nan"))
-    yield f"{sum(run.right for run in runs)} of {len(runs)} structures right, greatest RMSE {worst:.3f} deg"
+def row(run: RigRun) -> str:
+    """One session as a line of the table."""
+    errors = "  ".join(f"{joint} {error:.3f}" for joint, error in run.rmse_deg.items())
+    return f"{run.rig:<18} {run.seed:4}  {'right' if run.right else 'WRONG':9}  {run.wall_s:8.1f}  {errors}"
 
 
 def main() -> None:
-    """Print the table."""
+    """Print a row a session as it is done, then how many were right and the greatest error."""
     options = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     options.add_argument("--rigs", nargs="+", default=packaged_names("rigs"), help="names of packaged rigs")
     options.add_argument("--seeds", type=int, default=3, help="seeds 0, 1, ... of each rig")
     options.add_argument("--workers", type=int, default=1, help="processes; the numbers don't depend on it")
     chosen = options.parse_args()
     jobs = [(rig, seed) for rig in chosen.rigs for seed in range(chosen.seeds)]
-    print("\n".join(rows(each(run_rig, jobs, chosen.workers))))
+    print(f"{'rig':<18} seed  structure  time [s]  RMSE against read-back [deg]")
+    runs: list[RigRun] = []
+    with ProcessPoolExecutor(chosen.workers) as pool:
+        for run in pool.map(run_rig, jobs):
+            runs.append(run)
+            print(row(run), flush=True)
+    worst = max(error for run in runs for error in run.rmse_deg.values())
+    print(f"{sum(run.right for run in runs)} of {len(runs)} structures right, greatest RMSE {worst:.3f} deg")
 
 
 if __name__ == "__main__":
