@@ -1,140 +1,53 @@
-"""One emulated servo: its control table, and a shaft that moves within limits of speed and acceleration."""
+"""One emulated servo: what its registers, its motor and its protections do at their times."""
 
 from __future__ import annotations
 
-import bisect
+import heapq
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
-from enum import Enum
+from collections.abc import Callable, Mapping, Sequence
 
+from drivers.emulated_body import STEP_NS, Body
+from drivers.emulated_heat import Heat
+from drivers.emulated_modes import Mode, bit, frame_of, mode_of
+from drivers.emulated_present import Present
+from drivers.emulated_protection import NEVER_NS, Protection
+from drivers.emulated_shaft import BEGINNING_NS
+from drivers.emulated_steering import Steering
+from drivers.emulated_table import Refusal, Refused, Table
 from drivers.errors import DriverError
 from drivers.servo_models import Register, ServoModel, load_model
 
-HISTORY_NS = 5_000_000_000  # how far back the shaft's angle is known
+__all__ = ["DEFAULT_ACCELERATION_RAD_S2", "EmulatedServo", "Refusal", "Refused"]
+
 # rad/s^2. What a small geared servo with an arm's link on it reaches; the manuals give stall torque, but no inertia.
 DEFAULT_ACCELERATION_RAD_S2 = 40.0
-_BEGINNING_NS = -(1 << 62)
-
-
-class Refusal(Enum):
-    """Why a servo doesn't do what it is told; the bus puts it into its protocol's error byte."""
-
-    INSTRUCTION = "instruction"
-    RANGE = "range"
-    LENGTH = "length"
-    LIMIT = "limit"
-    ACCESS = "access"
-
-
-class Refused(Exception):
-    """Raised by a servo that refuses an instruction; it never leaves the emulator."""
-
-    def __init__(self, reason: Refusal) -> None:
-        super().__init__(reason.value)
-        self.reason = reason
-
-
-@dataclass(frozen=True, slots=True)
-class _Segment:
-    """Motion of constant acceleration from `t_ns` on."""
-
-    t_ns: int
-    rad: float
-    rad_s: float
-    rad_s2: float
-
-    def at(self, t_ns: int) -> tuple[float, float]:
-        """Angle and speed at a time."""
-        dt = (t_ns - self.t_ns) * 1e-9
-        return self.rad + dt * (self.rad_s + 0.5 * self.rad_s2 * dt), self.rad_s + self.rad_s2 * dt
-
-
-def plan_motion(rad: float, rad_s: float, goal: float, speed: float, acceleration: float) -> list[tuple[float, float]]:
-    """The quickest motion to a goal as [(duration s, acceleration rad/s^2)], from any present speed.
-
-    A speed over the limit is brought down at `acceleration`; a shaft that can't stop before the goal runs past it and
-    returns. At the end the shaft stands at the goal.
-    """
-    stop = rad + rad_s * abs(rad_s) / (2 * acceleration)
-    sign = 1.0 if goal >= stop else -1.0
-    v, distance = sign * rad_s, sign * (goal - rad)
-    peak = min(speed, math.sqrt(max(0.0, acceleration * distance + 0.5 * v * v)))
-    first = acceleration if v <= peak else -acceleration
-    travelled = (peak * peak - v * v) / (2 * first) + peak * peak / (2 * acceleration)
-    cruise = (distance - travelled) / peak if peak > 0 else 0.0
-    phases = [((peak - v) / first, first), (max(0.0, cruise), 0.0), (peak / acceleration, -acceleration)]
-    return [(duration, sign * a) for duration, a in phases if duration > 0]
-
-
-class Shaft:
-    """The angle of a shaft as a function of time over the last HISTORY_NS, in phases of constant acceleration."""
-
-    def __init__(self, rad: float) -> None:
-        self._segments = [_Segment(_BEGINNING_NS, rad, 0.0, 0.0)]
-        self._starts = [_BEGINNING_NS]
-
-    def at(self, t_ns: int) -> tuple[float, float]:
-        """Angle (rad) and speed (rad/s); raises DriverError for a time before the history."""
-        if t_ns < self._starts[0]:
-            raise DriverError(f"the shaft's angle is known for the last {HISTORY_NS * 1e-9:g} s only")
-        return self._segment(t_ns).at(t_ns)
-
-    def acceleration(self, t_ns: int) -> float:
-        """Acceleration at a time, rad/s^2."""
-        return self._segment(t_ns).rad_s2
-
-    def moving(self, t_ns: int) -> bool:
-        """Whether the motion that was planned last is still under way."""
-        return t_ns < self._starts[-1]
-
-    def move(self, t_ns: int, goal: float, speed: float, acceleration: float) -> None:
-        """From `t_ns` on, go to a goal, from the speed it has then."""
-        rad, rad_s = self.at(t_ns)
-        self._replace(t_ns, plan_motion(rad, rad_s, goal, speed, acceleration), goal)
-
-    def brake(self, t_ns: int, acceleration: float) -> None:
-        """From `t_ns` on, come to a stop."""
-        rad, rad_s = self.at(t_ns)
-        if rad_s == 0.0:
-            self._replace(t_ns, [], rad)
-            return
-        sign = math.copysign(1.0, rad_s)
-        stop = rad + sign * rad_s * rad_s / (2 * acceleration)
-        self._replace(t_ns, [(abs(rad_s) / acceleration, -sign * acceleration)], stop)
-
-    def _segment(self, t_ns: int) -> _Segment:
-        return self._segments[max(0, bisect.bisect_right(self._starts, t_ns) - 1)]
-
-    def _replace(self, t_ns: int, phases: Sequence[tuple[float, float]], end: float) -> None:
-        keep_to = bisect.bisect_left(self._starts, t_ns)
-        keep_from = max(0, bisect.bisect_right(self._starts, t_ns - HISTORY_NS) - 1)
-        rad, rad_s = self.at(t_ns)
-        segments = self._segments[min(keep_from, keep_to) : keep_to]
-        for duration, acceleration in phases:
-            segments.append(_Segment(t_ns, rad, rad_s, acceleration))
-            t_end_ns = t_ns + math.ceil(duration * 1e9)
-            dt = duration
-            rad, rad_s = rad + dt * (rad_s + 0.5 * acceleration * dt), rad_s + acceleration * dt
-            t_ns = t_end_ns
-        segments.append(_Segment(t_ns, end, 0.0, 0.0))
-        self._segments = segments
-        self._starts = [segment.t_ns for segment in segments]
+_GOALS = frozenset({"goal_position", "goal_velocity", "goal_current", "goal_pwm"})
 
 
 class EmulatedServo:
-    """A servo with its control table, as it comes out of the box but for its id.
+    """A servo with its control table, as it comes out of the box but for its id and what its owner configured.
+
+    Times of calls don't fall; a call for an earlier time than the latest happens at the latest. What the servo does by
+    itself happens at its own time, however often it is asked in between. Its life begins with the first time that it
+    hears of, and it is quick to hear of the next if that isn't minutes away.
 
     Args:
         id: 0 to 252.
         model: a name of `drivers.servo_models.MODELS`.
-        initial_count: where the shaft stands; the model's zero count if None.
+        initial_count: where the shaft stands, before any homing offset or reversal; the model's zero count if None.
         max_speed_rad_s: the fastest that it can turn; the model's no-load speed if None.
         max_acceleration_rad_s2: what its motor can do with the load that is on it.
-        voltage_v, temperature_c: what its sensors say.
+        voltage_v: of its supply; the model's nominal voltage if None.
+        temperature_c: at first.
+        ambient_c: where its temperature goes without load; `temperature_c` if None.
+        protocol: that it speaks; the model's factory setting if None.
+        eeprom: registers of the EEPROM area as the owner set them; a reboot keeps them, a factory reset doesn't.
+        load_nm: torque on the shaft from outside at a time in ns, positive anticlockwise. It is asked every 10 ms of
+            the servo's time and held in between; it may ask any servo for its `shaft_rad` at that time.
+        backlash_rad: play between motor and shaft, on whose side the position sensor is.
 
-    Not emulated: other modes than position control, homing offset, reversed drive mode, indirect addresses, load
-    that depends on the arm's pose.
+    Not emulated: the integral and derivative gains, feedforward, Punch of the MX, external ports, S.BUS and the like,
+    Startup Configuration, and that a weak supply makes a weak motor.
     """
 
     def __init__(
@@ -145,20 +58,40 @@ class EmulatedServo:
         initial_count: int | None = None,
         max_speed_rad_s: float | None = None,
         max_acceleration_rad_s2: float = DEFAULT_ACCELERATION_RAD_S2,
-        voltage_v: float = 12.0,
+        voltage_v: float | None = None,
         temperature_c: float = 32.0,
+        ambient_c: float | None = None,
+        protocol: float | None = None,
+        eeprom: Mapping[str, int] | None = None,
+        load_nm: Callable[[int], float] | None = None,
+        backlash_rad: float = 0.0,
     ) -> None:
         self.model: ServoModel = load_model(model)
-        self._max_speed_rad_s = max_speed_rad_s or self.model.no_load_rad_s
-        self._max_acceleration_rad_s2 = max_acceleration_rad_s2
-        self._voltage_v, self._temperature_c = voltage_v, temperature_c
-        count = self.model.zero_count if initial_count is None else initial_count
-        self.shaft = Shaft(self.model.rad(count))
+        fastest = max_speed_rad_s or self.model.no_load_rad_s
+        self._ambient_c = temperature_c if ambient_c is None else ambient_c
+        rad = self.model.rad(self.model.zero_count if initial_count is None else initial_count)
+        self.shaft = Body(
+            rad,
+            max_speed_rad_s=fastest,
+            stall_nm=self.model.stall_nm,
+            max_acceleration_rad_s2=max_acceleration_rad_s2,
+            backlash_rad=backlash_rad,
+            load_nm=load_nm,
+        )
+        self._table = Table(self.model)
+        self._present = Present(self._table, self.shaft, fastest)
+        self._present.voltage_v = self.model.nominal_v if voltage_v is None else voltage_v
+        self._present.heat = Heat(BEGINNING_NS, temperature_c, self._ambient_c)
+        self._protection = Protection(self._table, BEGINNING_NS)
+        self._steering = Steering(self._table, self.shaft, self._present, fastest, max_acceleration_rad_s2)
         self._registered: tuple[int, bytes] | None = None
-        self.alarm = 0  # bits of the model's error_bits
-        self._memory = bytearray(self.model.size_bytes)
-        self._power_up(count, keep=())
-        self.set("id", id)
+        self._backup: dict[str, int] = {}
+        self._changes: list[tuple[int, int, Callable[[int], None]]] = []  # a heap, by time and number
+        self._changes_seen = 0
+        self._now_ns, self._due_ns = BEGINNING_NS, BEGINNING_NS
+        self._busy = False
+        self._leader: EmulatedServo | None = None
+        self._configure(id, protocol, eeprom or {}, rad)
 
     @property
     def id(self) -> int:
@@ -166,9 +99,39 @@ class EmulatedServo:
         return self.get("id")
 
     @property
+    def alarm(self) -> int:
+        """The alarms that are on, as bits of the model's error_bits."""
+        return self._protection.alarm
+
+    @property
+    def secondary_id(self) -> int | None:
+        """The id of a group whose writes it obeys without an answer; None if it has none (253 and up is off)."""
+        if "secondary_id" not in self._table:
+            return None
+        value = self.get("secondary_id")
+        return value if value < 253 else None
+
+    @property
+    def protocol(self) -> float:
+        """The protocol it speaks; of the S.BUS and the like of the 330 servos it is 2.0 that the bus is answered in."""
+        if "protocol_type" not in self._table:
+            return self.model.protocols[0]
+        return 1.0 if self.get("protocol_type") == 1 else 2.0
+
+    @property
     def baud(self) -> int:
         """The baud that it listens at."""
         return self.model.baud_codes.get(self.get("baud_rate"), 0)
+
+    @property
+    def voltage_v(self) -> float:
+        """The supply's present voltage."""
+        return self._present.voltage_v
+
+    def temperature_c(self, t_ns: int) -> float:
+        """Its temperature at a time."""
+        self.advance(t_ns)
+        return self._present.heat.at(self._now_ns)
 
     @property
     def return_delay_ns(self) -> int:
@@ -177,37 +140,63 @@ class EmulatedServo:
 
     def get(self, register: str) -> int:
         """The value of a register as it was last written or sampled."""
-        at = self.model.register(register)
-        return at.decode(bytes(self._memory[at.address : at.address + at.size]))
+        return self._table.get(register)
 
     def set(self, register: str, value: int) -> None:
         """Set a register from inside, with no check and no consequence for the shaft."""
-        at = self.model.register(register)
-        self._memory[at.address : at.address + at.size] = at.encode(value)
+        self._table.set(register, value)
+        self._frame_again()
+
+    def advance(self, t_ns: int) -> None:
+        """Bring the servo to a time: all that is due until then happens."""
+        if self._leader is not None:
+            self._leader.advance(t_ns)
+        if self._busy:  # a load that asks for an angle
+            return
+        if self._due_ns <= t_ns:
+            self._busy = True
+            try:
+                if self._now_ns == BEGINNING_NS:
+                    self._due_ns = self._now_ns = self._protection.heard_ns = t_ns
+                self.shaft.forget(self._now_ns)
+                while self._due_ns <= t_ns:
+                    self._now_ns = max(self._now_ns, self._due_ns)
+                    self._happen(self._now_ns)
+            finally:
+                self._busy = False
+        self._now_ns = max(self._now_ns, t_ns)
+
+    def hear(self, t_ns: int) -> None:
+        """An intact instruction packet is on the wire, whoever it is for: the bus watchdog starts anew."""
+        self.advance(t_ns)
+        self._protection.heard_ns = max(self._protection.heard_ns, t_ns)
+
+    def shaft_rad(self, t_ns: int) -> float:
+        """True shaft angle, rad from the model's zero count; raises DriverError if that is longer ago than 5 s."""
+        self.advance(t_ns)
+        return self.shaft.at(t_ns)[0]
 
     def read(self, address: int, length: int, t_ns: int) -> bytes:
         """Bytes of the control table at a time; gaps between registers read as zeros."""
-        if length < 1 or address + length > self.model.size_bytes:
-            raise Refused(Refusal.ACCESS)
-        self._sample(t_ns)
-        return bytes(self._memory[address : address + length])
+        self.advance(t_ns)
+        self._present.sample(address, length, self._now_ns)
+        return self._table.read(address, length)
 
-    def write(self, address: int, data: bytes, t_ns: int) -> None:
-        """Write whole registers; refused as a whole if one of them is."""
-        registers = self._registers(address, len(data))
-        for register in registers:
-            self._check(register, register.decode(data[register.address - address :][: register.size]))
-        self._memory[address : address + len(data)] = data
-        names = {register.name for register in registers}
-        if "torque_enable" in names and not self.get("torque_enable"):
-            self.shaft.brake(t_ns, self._max_acceleration_rad_s2)
-        elif names & self._motion_registers():
-            self._steer(t_ns)
+    def write(self, address: int, data: bytes, t_ns: int, *, ram_only: bool = False) -> None:
+        """Write whole registers; refused as a whole if one of them is.
+
+        With `ram_only`, as for a write to the secondary id, also if one is in the EEPROM area.
+        """
+        self.advance(t_ns)
+        entries = self._checked(address, data, ram_only=ram_only)
+        before = mode_of(self._table)
+        for register, value in entries:
+            self._table.put(register, value)
+        self._obey({register.name for register, _ in entries}, before, self._now_ns)
 
     def register_write(self, address: int, data: bytes) -> None:
         """Keep a write for `action`; it is checked now."""
-        for register in self._registers(address, len(data)):
-            self._check(register, register.decode(data[register.address - address :][: register.size]))
+        self._checked(address, data)
         self._registered = address, data
         self.set(self.model.registered_flag, 1)
 
@@ -227,109 +216,234 @@ class EmulatedServo:
         """All registers to their initial values, but for those to keep."""
         self._restart(t_ns, keep=keep)
 
+    def clear_turns(self, t_ns: int) -> None:
+        """Count the shaft's position from within one turn on; refused while it moves (e-manual 2.0, Clear).
+
+        Not verified: that its goal is where it stands then.
+        """
+        self.advance(t_ns)
+        rad, rad_s = self.shaft.at(self._now_ns)
+        if rad_s:
+            raise Refused(Refusal.RESULT)
+        self._turn_again(rad)
+        self.set("goal_position", self._present.frame.count(rad))
+
+    def store_backup(self) -> None:
+        """Keep a copy of the EEPROM area; refused while torque is on (e-manual 2.0, Control Table Backup)."""
+        if self.get("torque_enable"):
+            raise Refused(Refusal.RESULT)
+        registers = self.model.registers.values()
+        self._backup = {register.name: self.get(register.name) for register in registers if register.area == "EEPROM"}
+        if "backup_ready" in self._table:
+            self.set("backup_ready", 1)
+
+    def restore_backup(self, t_ns: int) -> None:
+        """Bring the copy back and restart; refused while torque is on, or if there is none."""
+        if self.get("torque_enable") or not self._backup:
+            raise Refused(Refusal.RESULT)
+        for name, value in self._backup.items():
+            self.set(name, value)
+        self.reboot(t_ns)
+
     def raise_alarm(self, name: str, t_ns: int) -> None:
-        """Let an error happen, by its name in the model's error_bits; what Shutdown says then follows."""
+        """Let an error happen at a time, by its name in the model's error_bits; what Shutdown says then follows."""
         bits = {text: bit for bit, text in self.model.error_bits.items()}
         if name not in bits:
             raise DriverError(f"{self.model.name} has no alarm '{name}'; it has {', '.join(bits)}")
-        self.alarm |= 1 << bits[name]
-        if self.model.hardware_error_register is not None:
-            self.set(self.model.hardware_error_register, self.alarm)
-        if self.alarm & self.get("shutdown"):
-            # X: torque is off until a reboot. AX: Torque Limit becomes 0 until it is written (e-manual, Shutdown).
-            self.set("torque_limit" if "torque_limit" in self.model.registers else "torque_enable", 0)
-            self.shaft.brake(t_ns, self._max_acceleration_rad_s2)
+        self.schedule(t_ns, lambda t_ns: self._alarm(1 << bits[name], t_ns))
+
+    def set_voltage(self, voltage_v: float, t_ns: int) -> None:
+        """The supply's voltage from a time on."""
+
+        def change(_: int) -> None:
+            self._present.voltage_v = voltage_v
+
+        self.schedule(t_ns, change)
+
+    def set_temperature(self, temperature_c: float, t_ns: int) -> None:
+        """The servo's temperature at a time; from then on it goes where its load takes it."""
+
+        def change(t_ns: int) -> None:
+            self._present.heat = Heat(t_ns, temperature_c, self._ambient_c)
+
+        self.schedule(t_ns, change)
+
+    def obstruct(self, lower_rad: float | None, upper_rad: float | None, t_ns: int) -> None:
+        """From a time on the shaft can't pass these angles; None is no bound, one that it is past is where it is."""
+        lower = -math.inf if lower_rad is None else lower_rad
+        upper = math.inf if upper_rad is None else upper_rad
+        if lower > upper:
+            raise DriverError(f"servo {self.id}: an obstruction from {lower:g} to {upper:g} rad; lower must be lower")
+        self.schedule(t_ns, lambda t_ns: self.shaft.obstruct(t_ns, lower, upper))
+
+    def schedule(self, t_ns: int, change: Callable[[int], None]) -> None:
+        """Let something happen to the servo at a time, which it is told; at once if that is past."""
+        heapq.heappush(self._changes, (t_ns, self._changes_seen, change))
+        self._changes_seen += 1
+        if self._now_ns != BEGINNING_NS:
+            self._due_ns = min(self._due_ns, t_ns)
+            self.advance(self._now_ns)
+
+    def follow(self, leader: EmulatedServo, *, twisted: bool = False) -> None:
+        """Plug in a sync cable: while the bit for it is set in its drive mode, it turns as the leader's motor does.
+
+        e-manual, Drive Mode: a twisted cable turns it the other way, whatever the reverse bits say. Both are taken for
+        joined by a frame, so that it turns whether its torque is on or off.
+        """
+        for servo in (self, leader):
+            if not servo.model.sync_cable:
+                raise DriverError(f"servo {servo.id}: {servo.model.name} has no sync cable")
+        if leader is self or leader._leader is not None:
+            raise DriverError(f"servo {self.id} can't follow servo {leader.id}, which is no leader")
+        self._leader = leader
+        self._steering.plug(leader.shaft, -1 if twisted else 1, self._now_ns)
+        self._due_ns = min(self._due_ns, self._now_ns)
+
+    def _happen(self, t_ns: int) -> None:
+        """What is due at a time."""
+        while self._changes and self._changes[0][0] <= t_ns:
+            heapq.heappop(self._changes)[2](t_ns)
+        if self._protection.watchdog_ns() <= t_ns:
+            # X-series manual, Bus Watchdog (98): it stops with no profile, and reads -1
+            self.set("bus_watchdog", -1)
+            self._steering.stop(t_ns)
+        self._settle(t_ns)
+
+    def _settle(self, t_ns: int) -> None:
+        """Bring the body to a time, see to the protections, and find what is due next."""
+        self.shaft.settle(t_ns)
+        heat = self._present.heat.loaded(t_ns, self.shaft.strain(t_ns), self._ambient_c)
+        self._present.heat = heat
+        new = self._protection.check(
+            t_ns,
+            voltage_v=self._present.voltage_v,
+            temperature_c=heat.temperature_c,
+            saturated=self.shaft.saturated(),
+        )
+        if new:
+            self._alarm(new, t_ns)
+        crossing = self._present.heat.crosses_ns(self._table.get("temperature_limit"))
+        phase = (t_ns // STEP_NS + 1) * STEP_NS
+        if self.shaft.rigid:
+            phase = self.shaft.profile.next_phase_ns(t_ns) or NEVER_NS
+        change = self._changes[0][0] if self._changes else NEVER_NS
+        self._due_ns = min(self._protection.watchdog_ns(), change, phase, NEVER_NS if crossing is None else crossing)
+
+    def _alarm(self, bits: int, t_ns: int) -> None:
+        if self._protection.raise_bits(bits):
+            self._steering.release(t_ns)
+
+    def _configure(self, id: int, protocol: float | None, eeprom: Mapping[str, int], rad: float) -> None:
+        kept = [*eeprom, "id"]
+        for name, value in eeprom.items():
+            register = self.model.register(name)
+            if register.area != "EEPROM":
+                raise DriverError(f"{self.model.name}'s register '{name}' isn't in the EEPROM area: it isn't kept")
+            register.encode(value)
+            self._table.set(name, value)
+        if protocol is not None:
+            if protocol not in self.model.protocols:
+                spoken = " and ".join(f"{known:.1f}" for known in self.model.protocols)
+                raise DriverError(f"servo {id}: {self.model.name} speaks protocol {spoken}, not {protocol:.1f}")
+            if "protocol_type" in self._table:
+                self._table.set("protocol_type", int(protocol))
+                kept.append("protocol_type")
+        self._table.set("id", id)
+        self._power_up(rad, kept)
 
     def _restart(self, t_ns: int, *, keep: Sequence[str]) -> None:
-        self.shaft.brake(t_ns, self._max_acceleration_rad_s2)
-        self._registered, self.alarm = None, 0
-        self._power_up(self.model.count(self.shaft.at(t_ns)[0]), keep)
+        self.advance(t_ns)
+        t_ns = self._now_ns
+        self._registered, self._steering.halted = None, False
+        self._protection.clear()
+        self._steering.release(t_ns)
+        self._power_up(self.shaft.at(t_ns)[0], keep)
+        self._steering.see_to_cable(t_ns)
+        self._settle(t_ns)
 
-    def _power_up(self, count: int, keep: Sequence[str]) -> None:
-        for register in self.model.registers.values():
-            if register.name not in keep:
-                self.set(register.name, register.initial or 0)
-        self.set("goal_position", count)
-        if "torque_limit" in self.model.registers:  # e-manual, Max Torque (14): Torque Limit's value at power-up
+    def _power_up(self, rad: float, keep: Sequence[str]) -> None:
+        self._table.power_up(set(keep))
+        self._turn_again(rad)
+        self.set("goal_position", self._present.frame.count(rad))
+        if "torque_limit" in self._table:  # e-manual, Max Torque (14): Torque Limit's value at power-up
             self.set("torque_limit", self.get("max_torque"))
+        self._reset_goals()
 
-    def _registers(self, address: int, length: int) -> list[Register]:
-        """The registers that these bytes cover; refused if one is covered in part, or a byte is no register's."""
-        end = address + length
-        if length < 1 or end > self.model.size_bytes:
-            raise Refused(Refusal.ACCESS)
-        covered = [r for r in self.model.registers.values() if r.address < end and r.address + r.size > address]
-        if any(r.address < address or r.address + r.size > end for r in covered):
-            raise Refused(Refusal.LENGTH)
-        if sum(r.size for r in covered) != length:
-            raise Refused(Refusal.ACCESS)
-        return covered
+    def _reset_goals(self) -> None:
+        """e-manual, Operating Mode (11): PWM and current goals are reset to their limits.
+
+        Unverified: at power-up as well; in the modes of which they are the goal they are 0 here.
+        """
+        mode = mode_of(self._table)
+        for goal, limit, own in (
+            ("goal_pwm", "pwm_limit", Mode.PWM),
+            ("goal_current", "current_limit", Mode.CURRENT),
+        ):
+            if goal in self._table:
+                self.set(goal, 0 if mode is own else self.get(limit))
+
+    def _frame_again(self) -> None:
+        self._present.frame = frame_of(self._table, self._present.frame.turns)
+
+    def _turn_again(self, rad: float) -> None:
+        """Forget whole turns (e-manual, Present Position (132): at power-up, and when position control begins)."""
+        self._frame_again()
+        self._present.frame = frame_of(self._table, self._present.frame.turns_of(rad))
+
+    def _checked(self, address: int, data: bytes, *, ram_only: bool = False) -> list[tuple[Register, int]]:
+        entries = self._table.entries(address, data)
+        for register, value in entries:
+            self._table.check(register, value)
+            self._check(register, value)
+            if ram_only and register.area == "EEPROM":
+                raise Refused(Refusal.ACCESS)  # e-manual, Secondary ID (12)
+        return entries
 
     def _check(self, register: Register, value: int) -> None:
-        if not register.writable:
-            raise Refused(Refusal.ACCESS)
-        # X: EEPROM is locked while torque is on (X-series manual, Control Table). AX: by Lock (47) alone.
-        locked = self.get("lock") if "lock" in self.model.registers else self.get("torque_enable")
-        if register.area == "EEPROM" and locked:
-            raise Refused(Refusal.ACCESS)
-        if "lock" in self.model.registers and register.name == "lock" and locked and value == 0:
-            raise Refused(Refusal.ACCESS)  # only a power cycle unlocks
-        if register.minimum is not None and value < register.minimum:
-            raise Refused(Refusal.RANGE)
-        if register.maximum is not None and value > register.maximum:
-            raise Refused(Refusal.RANGE)
-        if register.name == "torque_enable" and value and self.alarm and self.model.hardware_error_register:
-            raise Refused(Refusal.ACCESS)  # after a shutdown only a reboot gives torque back
-        if register.name == "goal_position":
+        """Raise Refused for what the servo's state forbids."""
+        if register.name == "torque_enable" and value and self.model.recovery == "reboot":
+            if self._protection.shut_down:
+                raise Refused(Refusal.ACCESS)  # after a shutdown only a reboot gives torque back
+        elif register.name == "bus_watchdog" and (value < 0 or (value and self.get("bus_watchdog") < 0)):
+            raise Refused(Refusal.RANGE)  # only 0 clears it; unverified: that other values are refused
+        elif register.name in _GOALS and "bus_watchdog" in self._table and self.get("bus_watchdog") < 0:
+            raise Refused(Refusal.RANGE)  # X-series manual, Bus Watchdog (98): goals are read-only then
+        elif register.name == "goal_position" and mode_of(self._table) is Mode.POSITION:
             low, high = (self.get(name) for name in self.model.position_limit_registers)
             if not low <= value <= high:
                 raise Refused(Refusal.LIMIT)
 
-    def _motion_registers(self) -> set[str]:
-        names = {"torque_enable", "goal_position", "torque_limit", self.model.speed_register, "velocity_limit"}
-        return names | ({self.model.acceleration_register} if self.model.acceleration_register else set())
+    def _obey(self, names: set[str], before: Mode, t_ns: int) -> None:
+        """What follows from a write."""
+        after = mode_of(self._table)
+        self._frame_again()
+        # e-manual, Present Position (132), of servos with an operating mode; unverified: MX with protocol 1.0 don't
+        torque_on = "torque_enable" in names and self.get("torque_enable") and self.model.operating_mode_register
+        if after is Mode.POSITION and (torque_on or before is not after):
+            self._turn_again(self.shaft.at(t_ns)[0])
+        if self.model.operating_mode_register in names and after is not before:
+            self._enter_mode(t_ns)
+        if names & _GOALS:
+            self._steering.halted = False
+            if bit(self._table, "torque_on_by_goal_update") and not self._protection.shut_down:
+                self.set("torque_enable", 1)
+        if names & {"bus_watchdog", "torque_enable"}:
+            self._protection.heard_ns = max(self._protection.heard_ns, t_ns)
+        if "torque_limit" in names and self.get("torque_limit") and self.model.recovery == "torque_limit":
+            self._protection.clear()  # unverified: that this takes the error bits back as well
+        if "drive_mode" in names:
+            self._steering.see_to_cable(t_ns)
+        if "torque_enable" in names and not self.get("torque_enable"):
+            self._steering.release(t_ns)
+        elif self._steering.concerns(names) or before is not after:
+            self._steering.steer(t_ns)
+        self._settle(t_ns)
 
-    def _steer(self, t_ns: int) -> None:
-        """Set out for the goal, from the present angle and speed."""
-        has_torque = self.get("torque_limit") > 0 if "torque_limit" in self.model.registers else True
-        if not self.get("torque_enable") or not has_torque:
-            return
-        speed, acceleration = self._max_speed_rad_s, self._max_acceleration_rad_s2
-        if limit := self.get(self.model.speed_register):
-            speed = min(speed, abs(limit) * self.model.speed_unit_rad_s)
-        if "velocity_limit" in self.model.registers:
-            speed = min(speed, self.get("velocity_limit") * self.model.speed_unit_rad_s)
-        unit = self.model.acceleration_unit_rad_s2
-        if self.model.acceleration_register and unit and (limit := self.get(self.model.acceleration_register)):
-            acceleration = min(acceleration, limit * unit)
-        # A limit of 0 would never arrive: no speed at all is as good as a brake.
-        if speed <= 0:
-            self.shaft.brake(t_ns, acceleration)
-        else:
-            self.shaft.move(t_ns, self.model.rad(self.get("goal_position")), speed, acceleration)
-
-    def _sample(self, t_ns: int) -> None:
-        """Fill the registers that tell of the present."""
-        rad, rad_s = self.shaft.at(t_ns)
-        moving = self.shaft.moving(t_ns)
-        has, model = self.model.registers, self.model
-        count = model.count(rad)
-        if model.acceleration_register is None:  # the AX's potentiometer ends at 0 and 1023
-            count = min(max(count, 0), model.resolution - 1)
-        speed = round(rad_s / model.speed_unit_rad_s)
-        # per mille of the torque: friction, and what accelerates the link
-        load = round(1000 * (0.05 * (rad_s > 0) - 0.05 * (rad_s < 0) + 0.3 * self._effort(t_ns)))
-        self.set("present_position", count)
-        self.set(model.present_speed_register, max(-1023, min(1023, speed)))
-        self.set("moving", int(moving))
-        self.set(model.voltage_register, round(10 * self._voltage_v) - int(moving))
-        self.set("present_temperature", round(self._temperature_c))
-        if "present_load" in has:
-            self.set("present_load", load)
-        if "present_current" in has:
-            self.set("present_current", load)
-        if "realtime_tick" in has:
-            self.set("realtime_tick", t_ns // 1_000_000 % 32768)
-
-    def _effort(self, t_ns: int) -> float:
-        return self.shaft.acceleration(t_ns) / self._max_acceleration_rad_s2
+    def _enter_mode(self, t_ns: int) -> None:
+        """e-manual, Operating Mode (11): the profile and the goals' limits are reset; torque is off, by the lock."""
+        for name in (self.model.speed_register, self.model.acceleration_register, "goal_velocity"):
+            if name is not None and name in self._table:
+                self.set(name, 0)
+        self._reset_goals()
+        # unverified: that the goal is reset as well
+        self.set("goal_position", self._present.frame.count(self.shaft.at(t_ns)[0]))

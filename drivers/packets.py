@@ -19,7 +19,7 @@ _HEADER_2_FULL = b"\xff\xff\xfd\x00"
 
 
 class Instruction(IntEnum):
-    """Instruction codes; from SYNC_READ on, and REBOOT, BULK_WRITE: protocol 2.0 only."""
+    """Instruction codes; CLEAR, BACKUP, the sync and fast reads and BULK_WRITE: protocol 2.0 only."""
 
     PING = 0x01
     READ = 0x02
@@ -28,10 +28,14 @@ class Instruction(IntEnum):
     ACTION = 0x05
     FACTORY_RESET = 0x06
     REBOOT = 0x08
-    SYNC_WRITE = 0x83
-    BULK_READ = 0x92
+    CLEAR = 0x10
+    BACKUP = 0x20
     SYNC_READ = 0x82
+    SYNC_WRITE = 0x83
+    FAST_SYNC_READ = 0x8A
+    BULK_READ = 0x92
     BULK_WRITE = 0x93
+    FAST_BULK_READ = 0x9A
 
 
 @dataclass(frozen=True, slots=True)

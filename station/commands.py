@@ -95,7 +95,7 @@ def plan_document(planned: Plan) -> dict[str, object]:
 
 
 def _plan(rig: RigFile, motion: str) -> tuple[Plan, str]:
-    from station.rig import packaged, packaged_names
+    from station.rig_reading import packaged, packaged_names
 
     path = packaged("motions", motion)
     text = read_text(path, "motion", f"packaged ones are {', '.join(packaged_names('motions'))}")

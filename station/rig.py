@@ -8,8 +8,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
-from importlib import resources
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,30 +17,34 @@ from drivers.arm import Arm
 from drivers.camera import Camera
 from drivers.clock import Clock, MonotonicClock, VirtualClock
 from drivers.dynamixel import DynamixelBus
-from drivers.emulated_bus import EmulatedBus
-from drivers.emulated_servo import EmulatedServo
-from drivers.errors import DriverError
-from drivers.joints import JointConfig, ServoConfig
 from drivers.rendered_camera import RenderedCamera
 from drivers.safety import SafetyLimits
 from drivers.webcam import Webcam
-from station.errors import InvalidData, InvalidFile
-from station.formats.rig import (
-    EMULATED,
-    RENDERED,
-    RigTable,
-    ServoTable,
-    load_calibration,
-    parse_rig,
-)
-from station.formats.simulation import MM_PER_M, SimulatedCamera, SimulationTable
-from station.formats.text import read_text
-from station.logs import FloatArray
+from station.emulated_arm import EmulatedArm
+from station.errors import InvalidData
+from station.formats.rig import EMULATED, RENDERED, RigTable, load_calibration
+from station.formats.simulation import SimulatedCamera, SimulationTable
 from station.perception.markers import MarkerTable
+from station.rig_reading import joint_configs, packaged, packaged_names, read_rig
 from station.stage import Stage
+
+__all__ = [
+    "EmulatedArm",
+    "Rig",
+    "RigFile",
+    "joint_configs",
+    "load_rig",
+    "open_rig",
+    "packaged",
+    "packaged_names",
+    "read_rig",
+    "safety_limits",
+]
 
 # On a virtual clock a slow machine must not make a reply late: waits for one are then real time, and generous.
 VIRTUAL_REPLY_TIMEOUT_S = 10.0
+# Where replies are kept away on purpose, so generous a wait for each would be a long one.
+FAULTY_REPLY_TIMEOUT_S = 0.5
 
 
 @dataclass(frozen=True)
@@ -69,26 +71,9 @@ class Rig:
     seed: int | None
 
 
-def packaged(kind: str, name_or_path: str) -> Path:
-    """Path of a packaged rig or motion (`kind` "rigs" or "motions") of that name, else of the file itself."""
-    inside = Path(str(resources.files("station") / kind / f"{name_or_path}.toml"))
-    return inside if inside.is_file() else Path(name_or_path)
-
-
-def packaged_names(kind: str) -> list[str]:
-    """Names of the rigs or motions that come with the package."""
-    return sorted(path.stem for path in Path(str(resources.files("station") / kind)).glob("*.toml"))
-
-
 def load_rig(name_or_path: str) -> RigFile:
     """Read a rig and its camera's calibration; raises InvalidFile."""
-    path = packaged("rigs", name_or_path)
-    text = read_text(path, "rig", f"packaged ones are {', '.join(packaged_names('rigs'))}")
-    table = parse_rig(text, str(path))
-    try:
-        joint_configs(table)
-    except DriverError as error:
-        raise InvalidFile(f"{path}: {error}") from error
+    table, text, path = read_rig(name_or_path)
     return RigFile(table, text, str(path), load_calibration(table, path.parent, str(path)))
 
 
@@ -120,9 +105,9 @@ def open_rig(rig: RigFile, *, simulate: bool = False, realtime: bool = False, se
     if simulation is not None and seed is None:
         seed = simulation.seed
     with ExitStack() as stack:
-        bus = EmulatedArm(table, simulation, clock) if emulated and simulation is not None else None
+        bus = EmulatedArm(table, simulation, clock, seed=seed) if emulated and simulation is not None else None
         port = table.bus.port if bus is None else stack.enter_context(bus).path
-        timeout_s = VIRTUAL_REPLY_TIMEOUT_S if virtual else None
+        timeout_s = _reply_timeout_s(simulation) if virtual else None
         client = DynamixelBus(
             port, baud=table.bus.baud, protocol=table.bus.protocol, clock=clock, reply_timeout_s=timeout_s
         )
@@ -144,31 +129,13 @@ def open_rig(rig: RigFile, *, simulate: bool = False, realtime: bool = False, se
         yield Rig(table, clock, virtual, arm, camera, rig.camera_model, table.marker_table(), simulated_seed)
 
 
+def _reply_timeout_s(simulation: SimulationTable | None) -> float:
+    """How long, in real time, a reply of a bus on a virtual clock is waited for."""
+    return FAULTY_REPLY_TIMEOUT_S if simulation is not None and simulation.faults else VIRTUAL_REPLY_TIMEOUT_S
+
+
 def _size(table: RigTable) -> tuple[int, int]:
     return (table.camera.size_px[0], table.camera.size_px[1])
-
-
-def joint_configs(table: RigTable) -> tuple[JointConfig, ...]:
-    """The rig's joints as the arm takes them; raises DriverError for what its servos can't be."""
-    return tuple(
-        JointConfig(
-            name=joint.name,
-            servos=tuple(
-                ServoConfig(servo.id, servo.model, servo.zero, servo.sign, _ratio(servo), servo.ganging, servo.reversed)
-                for servo in joint.servo
-            ),
-            lower=limits.lower,
-            upper=limits.upper,
-            max_speed=limits.max_speed,
-            unit=limits.unit,
-        )
-        for joint, limits in zip(table.joint, table.limits(), strict=True)
-    )
-
-
-def _ratio(servo: ServoTable) -> float:
-    """Turn of the servo for one unit of the joint, rad/rad or rad/m."""
-    return servo.gear or 1.0 if servo.lead_mm is None else 2 * np.pi / (servo.lead_mm / MM_PER_M)
 
 
 def safety_limits(table: RigTable) -> SafetyLimits:
@@ -183,37 +150,6 @@ def safety_limits(table: RigTable) -> SafetyLimits:
         stall_s=safety.stall_s,
         watchdog_s=safety.watchdog_s,
     )
-
-
-class EmulatedArm(EmulatedBus):
-    """The emulated bus of a rig's servos, standing at the park pose, and the joints' true states behind it."""
-
-    def __init__(self, table: RigTable, simulation: SimulationTable, clock: Clock) -> None:
-        self._joints = joint_configs(table)
-        acceleration = float(np.radians(simulation.max_acceleration_deg_s2))
-        servos = [
-            EmulatedServo(
-                servo.id,
-                servo.model,
-                initial_count=servo.count(limits.park),
-                max_acceleration_rad_s2=acceleration,
-                voltage_v=servo.table.nominal_v,
-            )
-            for joint, limits in zip(self._joints, table.limits(), strict=True)
-            for servo in joint.servos
-        ]
-        super().__init__(servos, protocol=table.bus.protocol, baud=table.bus.baud, clock=clock)
-
-    def joint_states(self, t_ns: int) -> FloatArray:
-        """(J,) true joint states, rad or m, at a time of the clock: the mean of the servos that turn each."""
-        return np.array(
-            [sum(self._state(servo, t_ns) for servo in joint.servos) / len(joint.servos) for joint in self._joints],
-            dtype=np.float64,
-        )
-
-    def _state(self, servo: ServoConfig, t_ns: int) -> float:
-        zero_rad = (servo.zero - servo.table.zero_count) * servo.table.rad_per_count
-        return servo.sign * (self.shaft_rad(servo.id, t_ns) - zero_rad) / servo.ratio
 
 
 def _rendered_camera(

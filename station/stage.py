@@ -11,8 +11,8 @@ from calibration.intrinsics import CameraModel
 from station.formats.rig import RigTable
 from station.formats.simulation import SimulatedBox, SimulatedPlate, SimulationTable, metres
 from station.kinematics import se3
-from station.kinematics.tree import Joint, KinematicTree
 from station.logs import FloatArray
+from station.mechanism import mechanism
 from station.perception.markers import MarkerTable
 from station.simulate.render import SceneRenderer
 from station.simulate.scene import Box, CameraOptics, Plate
@@ -38,24 +38,6 @@ def facing(position_m: FloatArray, normal: ArrayLike, up: ArrayLike) -> FloatArr
     y = np.asarray(up, dtype=np.float64)
     y = _unit(y - z * (y @ z))
     return se3.pose(np.stack([np.cross(y, z), y, z], axis=-1), position_m)
-
-
-def mechanism(simulation: SimulationTable) -> KinematicTree:
-    """The true tree: all bodies' frames coincide with the root's when all joints are at zero."""
-    joints = tuple(
-        Joint(
-            name=joint.name,
-            type=joint.type,
-            parent=joint.parent,
-            child=joint.child,
-            axis_parent=_unit(joint.axis),
-            point_parent_m=metres(joint.point_mm) if joint.type == "revolute" else None,
-            T_parent_child_zero=np.eye(4),
-        )
-        for joint in simulation.joint
-    )
-    bodies = simulation.bodies()
-    return KinematicTree(root=simulation.root, parts=bodies, rigid_groups=(), trees=(bodies,), joints=joints)
 
 
 class Stage:

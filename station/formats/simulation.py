@@ -6,8 +6,10 @@ from collections.abc import Mapping
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, field_validator, model_validator
 
+from drivers.bus_faults import parse_fault
+from drivers.errors import DriverError
 from station.formats.toml_models import StrictModel
 from station.logs import FloatArray
 
@@ -26,7 +28,8 @@ def metres(values_mm: list[float]) -> FloatArray:
 class SimulatedJoint(StrictModel):
     """`[[simulation.joint]]`: where the joint of that name really is, in the root's frame with all joints at zero.
 
-    point_mm, a point of a revolute joint's axis, means nothing for a prismatic one.
+    point_mm, a point of a revolute joint's axis, means nothing for a prismatic one. mass_kg and centre_mm, if given,
+    are of the child body: the joints then carry its weight.
     """
 
     name: str
@@ -35,6 +38,14 @@ class SimulatedJoint(StrictModel):
     child: str
     axis: Vector
     point_mm: Vector = Field(default_factory=lambda: [0.0, 0.0, 0.0])
+    mass_kg: NotNegative | None = None
+    centre_mm: Vector | None = None
+
+    @model_validator(mode="after")
+    def _check(self) -> SimulatedJoint:
+        if (self.mass_kg is None) != (self.centre_mm is None):
+            raise ValueError("want mass_kg and centre_mm, or neither")
+        return self
 
 
 class SimulatedPlate(StrictModel):
@@ -80,7 +91,8 @@ class SimulationTable(StrictModel):
     """`[simulation]`: truth for the emulated bus and the rendered camera, drawn with all joints at zero.
 
     placement_mm and placement_deg are standard deviations by which the seed moves each plate and the camera, as hands
-    would; max_acceleration_deg_s2 limits the emulated servos.
+    would; max_acceleration_deg_s2 limits the emulated servos, backlash_deg is their play. faults are lines such as
+    "mute:3@2+1", in seconds since the bus was opened (docs/emulator.md lists them).
     """
 
     root: str
@@ -88,10 +100,22 @@ class SimulationTable(StrictModel):
     placement_mm: NotNegative = 0.0
     placement_deg: NotNegative = 0.0
     max_acceleration_deg_s2: Positive = 400.0
+    backlash_deg: NotNegative = 0.0
+    faults: list[str] = Field(default_factory=list)
     camera: SimulatedCamera
     joint: Annotated[list[SimulatedJoint], Field(min_length=1)]
     plate: list[SimulatedPlate]
     box: list[SimulatedBox] = Field(default_factory=list)
+
+    @field_validator("faults")
+    @classmethod
+    def _check(cls, faults: list[str]) -> list[str]:
+        try:
+            for fault in faults:
+                parse_fault(fault)
+        except DriverError as error:
+            raise ValueError(str(error)) from error
+        return faults
 
     def bodies(self) -> tuple[str, ...]:
         """The root, then each joint's child, in the order of the file."""

@@ -66,12 +66,13 @@ def bench(
 ) -> Iterator[Bench]:
     joints = joints or paper_joints(model)
     zeros = {servo.id: servo.zero for joint in joints for servo in joint.servos}
-    servos = {id: EmulatedServo(id, model, initial_count=(zeros | (counts or {})).get(id)) for id in present}
+    servos = {
+        id: EmulatedServo(id, model, initial_count=(zeros | (counts or {})).get(id), protocol=protocol)
+        for id in present
+    }
     clock = VirtualClock()
     with (
-        EmulatedBus(
-            list(servos.values()), protocol=protocol, baud=1_000_000, clock=clock, alter_reply=alter_reply
-        ) as emulated,
+        EmulatedBus(list(servos.values()), baud=1_000_000, clock=clock, alter_reply=alter_reply) as emulated,
         DynamixelBus(emulated.path, baud=1_000_000, protocol=protocol, clock=clock, reply_timeout_s=timeout_s) as bus,
     ):
         yield Bench(Arm(bus, joints, clock), bus, emulated, clock, servos)
@@ -246,7 +247,7 @@ def test_a_servo_of_another_model_is_found_before_any_write(model: str, protocol
 def test_a_missing_servo_is_named_with_its_joint() -> None:
     with bench(present=(1, 2, 4, 5, 6), timeout_s=0.03) as b, pytest.raises(NoReply) as caught:
         b.arm.connect()
-    assert str(caught.value).startswith("no reply from servo 3 (shoulder) on /dev/pts/")
+    assert str(caught.value).startswith("no reply from servo 3 (shoulder) on /")
     assert str(caught.value).endswith("at 1000000 baud, protocol 1.0; check power and cable, baud and id in rig.toml")
 
 

@@ -34,10 +34,9 @@ def station(
     client_baud: int = 1_000_000,
 ) -> Iterator[tuple[DynamixelBus, EmulatedBus]]:
     clock = clock or VirtualClock()
-    servos = [EmulatedServo(id, model) for id in ids]
+    servos = [EmulatedServo(id, model, protocol=protocol) for id in ids]
     emulated = EmulatedBus(
         servos,
-        protocol=protocol,
         baud=1_000_000,
         clock=clock,
         alter_reply=alter_reply,
@@ -238,7 +237,7 @@ def test_the_bauds_of_the_ax_can_be_set() -> None:
     for baud in (200_000, 250_000, 400_000):  # the SDK's list has none of them
         servo = EmulatedServo(1, "AX-18A")
         with (
-            EmulatedBus([servo], protocol=1.0, baud=baud, clock=clock) as emulated,
+            EmulatedBus([servo], baud=baud, clock=clock) as emulated,
             DynamixelBus(emulated.path, baud=baud, protocol=1.0, clock=clock, reply_timeout_s=PATIENT_S) as bus,
         ):
             assert bus.ping(1) == 18
@@ -310,7 +309,7 @@ def test_two_threads_share_the_bus() -> None:
 def test_on_the_real_clock_the_default_deadline_does() -> None:
     clock = MonotonicClock()
     with (
-        EmulatedBus([EmulatedServo(1, "AX-18A")], protocol=1.0, baud=1_000_000, clock=clock) as emulated,
+        EmulatedBus([EmulatedServo(1, "AX-18A")], baud=1_000_000, clock=clock) as emulated,
         DynamixelBus(emulated.path, baud=1_000_000, protocol=1.0, clock=clock) as bus,
     ):
         t_ns = clock.now_ns()

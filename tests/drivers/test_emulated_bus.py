@@ -2,46 +2,19 @@
 
 from __future__ import annotations
 
-import select
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
-import serial
 
 from drivers.clock import Clock, VirtualClock
 from drivers.emulated_bus import AlterReply, EmulatedBus
 from drivers.emulated_servo import EmulatedServo
 from drivers.errors import DriverError
-from drivers.packets import BROADCAST, FrameReader, Instruction, Status, encode_instruction, read_status
-
-SILENCE_S = 0.05  # how long a reply is waited for that must not come
-
-
-class Line:
-    """A client that sends packets and collects status packets."""
-
-    def __init__(self, bus: EmulatedBus, protocol: float, baud: int) -> None:
-        self.serial = serial.Serial(bus.path, baud, timeout=0)
-        self.protocol = protocol
-        self.reader = FrameReader(protocol)
-
-    def ask(self, servo_id: int, instruction: int, parameters: str = "", *, replies: int = 1) -> list[Status]:
-        return self.send(encode_instruction(servo_id, instruction, bytes.fromhex(parameters), self.protocol), replies)
-
-    def send(self, wire: bytes, replies: int) -> list[Status]:
-        self.serial.write(wire)
-        found: list[Status] = []
-        while len(found) < max(1, replies):
-            if not select.select([self.serial], [], [], 5.0 if replies else SILENCE_S)[0]:
-                break
-            for frame in self.reader.feed(self.serial.read(4096)):
-                status = read_status(frame, self.protocol)
-                assert status is not None
-                found.append(status)
-        return found
+from drivers.packets import BROADCAST, Instruction, encode_instruction
+from tests.drivers.line import Line
 
 
 @contextmanager
@@ -55,10 +28,9 @@ def line(
     fragment_bytes: int | None = None,
     alter_reply: AlterReply | None = None,
 ) -> Iterator[Line]:
-    servos = [EmulatedServo(id, model) for id in ids]
+    servos = [EmulatedServo(id, model, protocol=protocol) for id in ids]
     bus = EmulatedBus(
         servos,
-        protocol=protocol,
         baud=1_000_000,
         clock=clock or VirtualClock(),
         fragment_bytes=fragment_bytes,
@@ -69,7 +41,7 @@ def line(
         try:
             yield client
         finally:
-            client.serial.close()
+            client.close()
 
 
 def test_protocol_1_single_instructions() -> None:
@@ -172,11 +144,11 @@ def test_status_return_level_is_honoured() -> None:
 
 def test_an_alarm_shows_in_every_status() -> None:
     servo = EmulatedServo(1, "XM430-W350")
-    with EmulatedBus([servo], protocol=2.0, baud=1_000_000, clock=VirtualClock()) as bus:
+    with EmulatedBus([servo], baud=1_000_000, clock=VirtualClock()) as bus:
         client = Line(bus, 2.0, 1_000_000)
         bus.raise_alarm(1, "overheating")
         assert client.ask(1, Instruction.READ, "46 00 01 00") == [(1, 0x80, b"\x04")]
-        client.serial.close()
+        client.close()
 
 
 def test_wire_time_and_return_delay_pass_on_the_clock() -> None:
@@ -192,7 +164,7 @@ def test_wire_time_and_return_delay_pass_on_the_clock() -> None:
 def test_a_shaft_is_where_the_goals_time_says() -> None:
     clock = VirtualClock()
     servo = EmulatedServo(1, "AX-18A", max_acceleration_rad_s2=1e6)
-    with EmulatedBus([servo], protocol=1.0, baud=1_000_000, clock=clock) as bus:
+    with EmulatedBus([servo], baud=1_000_000, clock=clock) as bus:
         client = Line(bus, 1.0, 1_000_000)
         client.ask(1, Instruction.WRITE, "20 64 00")  # 11.1 rpm
         client.ask(1, Instruction.WRITE, "18 01")
@@ -204,7 +176,7 @@ def test_a_shaft_is_where_the_goals_time_says() -> None:
         assert bus.shaft_rad(1, t_ns) == 0.0
         with pytest.raises(DriverError, match="no emulated servo 5"):
             bus.shaft_rad(5, 0)
-        client.serial.close()
+        client.close()
 
 
 @pytest.mark.parametrize("fragment_bytes", [1, 3])
@@ -223,13 +195,13 @@ def test_an_id_that_is_written_is_the_new_id() -> None:
 def test_wrong_setups_say_so() -> None:
     clock = VirtualClock()
     with pytest.raises(DriverError, match="one id"):
-        EmulatedBus([EmulatedServo(1, "AX-18A")] * 2, protocol=1.0, baud=1_000_000, clock=clock)
+        EmulatedBus([EmulatedServo(1, "AX-18A")] * 2, baud=1_000_000, clock=clock)
     with pytest.raises(DriverError, match=r"speaks protocol 1\.0"):
-        EmulatedBus([EmulatedServo(1, "AX-18A")], protocol=2.0, baud=1_000_000, clock=clock)
+        EmulatedServo(1, "AX-18A", protocol=2.0)
     with pytest.raises(DriverError, match="no baud 12345"):
-        EmulatedBus([EmulatedServo(1, "AX-18A")], protocol=1.0, baud=12345, clock=clock)
+        EmulatedBus([EmulatedServo(1, "AX-18A")], baud=12345, clock=clock)
     with pytest.raises(DriverError, match="isn't started"):
-        _ = EmulatedBus([], protocol=1.0, baud=1_000_000, clock=clock).path
+        _ = EmulatedBus([], baud=1_000_000, clock=clock).path
 
 
 def test_closing_leaves_no_thread_and_no_descriptor() -> None:
@@ -238,7 +210,7 @@ def test_closing_leaves_no_thread_and_no_descriptor() -> None:
 
     before = left()
     for _ in range(20):
-        bus = EmulatedBus([EmulatedServo(1, "AX-18A")], protocol=1.0, baud=1_000_000, clock=VirtualClock())
+        bus = EmulatedBus([EmulatedServo(1, "AX-18A")], baud=1_000_000, clock=VirtualClock())
         bus.start()
         bus.start()  # twice is once
         bus.close()

@@ -18,7 +18,7 @@ TIMEOUT_S = 5.0  # a reply takes microseconds; a stalled machine must not fail t
 def test_protocol_2_ping_torque_sync_write_sync_read() -> None:
     clock = VirtualClock()
     servos = [EmulatedServo(id, "XL430-W250") for id in (1, 2, 3)]
-    with EmulatedBus(servos, protocol=2.0, baud=1_000_000, clock=clock) as bus:
+    with EmulatedBus(servos, baud=1_000_000, clock=clock) as bus:
         client = rustypot.Xl430PyController(bus.path, 1_000_000, TIMEOUT_S)
         assert all(client.ping(id) for id in (1, 2, 3))
         for id in (1, 2, 3):
@@ -36,7 +36,7 @@ def test_protocol_2_ping_torque_sync_write_sync_read() -> None:
 
 def test_protocol_1_reads_of_ax() -> None:
     clock = VirtualClock()
-    with EmulatedBus([EmulatedServo(1, "AX-18A", initial_count=700)], protocol=1.0, baud=1_000_000, clock=clock) as bus:
+    with EmulatedBus([EmulatedServo(1, "AX-18A", initial_count=700)], baud=1_000_000, clock=clock) as bus:
         client = rustypot.AxPyController(bus.path, 1_000_000, TIMEOUT_S)
         assert client.ping(1)
         assert client.read_raw_present_position(1) in (700, [700])
@@ -44,3 +44,26 @@ def test_protocol_1_reads_of_ax() -> None:
         client.write_torque_enable(1, True)
         assert client.read_torque_enable(1) in (1, True, [1], [True])
         del client
+
+
+def test_fast_sync_read() -> None:
+    servos = [EmulatedServo(id, "XL330-M288", initial_count=1000 * id) for id in (1, 2, 3)]
+    with EmulatedBus(servos, baud=1_000_000, clock=VirtualClock()) as bus:
+        client = rustypot.Xl330PyController(bus.path, 1_000_000, TIMEOUT_S)
+        client.set_fast_sync_read(True)
+        fast = client.sync_read_present_position([3, 1, 2])
+        client.set_fast_sync_read(False)
+        assert fast == client.sync_read_present_position([3, 1, 2])
+        assert client.sync_read_present_temperature([2, 3]) == [32, 32]
+        del client
+
+
+def test_both_protocols_on_one_wire() -> None:
+    servos = [EmulatedServo(1, "AX-12A", initial_count=700), EmulatedServo(2, "XL430-W250", initial_count=2048)]
+    with EmulatedBus(servos, baud=1_000_000, clock=VirtualClock()) as bus:
+        ax = rustypot.AxPyController(bus.path, 1_000_000, TIMEOUT_S)
+        assert ax.ping(1)
+        del ax
+        x = rustypot.Xl430PyController(bus.path, 1_000_000, TIMEOUT_S)
+        assert x.sync_read_present_position([2]) == [2048]
+        del x

@@ -32,9 +32,9 @@ REPLY_MS = 34  # the SDK's deadline beside the wire time
 
 @contextmanager
 def emulated(protocol: float, *, real: bool = False, alter_reply: AlterReply | None = None) -> Iterator[EmulatedBus]:
-    servos = [EmulatedServo(id, MODEL[protocol]) for id in (1, 2, 3)]
+    servos = [EmulatedServo(id, MODEL[protocol], protocol=protocol) for id in (1, 2, 3)]
     clock = MonotonicClock() if real else VirtualClock()
-    with EmulatedBus(servos, protocol=protocol, baud=BAUD, clock=clock, alter_reply=alter_reply) as bus:
+    with EmulatedBus(servos, baud=BAUD, clock=clock, alter_reply=alter_reply) as bus:
         yield bus
 
 
