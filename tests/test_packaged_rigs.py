@@ -42,15 +42,17 @@ def test_every_seen_body_of_a_packaged_rig_has_two_markers(name: str):
     assert {bodies.count(body) for body in bodies} == {2}
 
 
-def first_and_last(planned: Plan) -> dict[str, float]:
-    """First target [deg] of the first and of the last joint that the motion moves alone, half of it for the first."""
+def two_joints(name: str, planned: Plan) -> dict[str, float]:
+    """Two joints and the first targets [deg] to which the motion moves them alone: the last one, and before it the
+    first one that several servos turn, or the very first."""
     targets: dict[str, float] = {}
     for leg in planned.segments:
         moved = np.flatnonzero(leg.q_from != leg.q_to)
         if len(moved) == 1:
             targets.setdefault(planned.joints[moved[0]].name, float(np.degrees(leg.q_to[moved[0]])))
-    first, *_, last = targets
-    return {first: targets[first] / 2, last: targets[last]}
+    ganged = [joint.name for joint in load_rig(name).table.joint if len(joint.servo) > 1]
+    first, last = (ganged or list(targets))[0], list(targets)[-1]
+    return {joint: targets[joint] for joint in (first, last)}
 
 
 def piece(name: str, folder: Path) -> tuple[Path, Path, set[str]]:
@@ -59,7 +61,7 @@ def piece(name: str, folder: Path) -> tuple[Path, Path, set[str]]:
     (folder / "rig.toml").write_text(rig.replace("blur_instants = 2", "blur_instants = 1"), encoding="utf-8")
     planned = commands.plan(name, name)
     parked = {joint.name: float(np.degrees(joint.park)) for joint in planned.joints}
-    moves = [(joint, to) for joint, there in first_and_last(planned).items() for to in (there, parked[joint])]
+    moves = [(joint, to) for joint, there in two_joints(name, planned).items() for to in (there, parked[joint])]
     steps = "".join(f"[[step]]\nmove = {{ {j} = {to:.3f} }}\nspeed_deg_s = 40\nhold_s = 0.2\n" for j, to in moves)
     text = f'schema = "motion/1"\nname = "piece"\nmode = "{planned.motion.mode}"\n{steps}'
     (folder / "motion.toml").write_text(text, encoding="utf-8")
