@@ -11,14 +11,13 @@ from typing import SupportsIndex, TypeVar
 
 from drivers.clock import Clock
 from drivers.errors import BusLost, DriverError
-from drivers.line import Answer, Line
+from drivers.line import MARKER_BYTES, Answer, Line
 from drivers.sdk_fence import FencedPort
 from drivers.servo_models import Register, ServoModel, model_by_number
 
 T = TypeVar("T")
 ATTEMPTS = 3  # of every exchange
 ALERT = "alert"  # protocol 2.0: the status packet says that there is an alarm; which, its register tells
-_MARKER_BYTES = 3  # the size of a question that `drivers.line` keeps for itself
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,6 +130,10 @@ class DynamixelBus:
     def label(self, servo_id: int, joint: str) -> None:
         """Name the joint that a servo belongs to, for the messages."""
         self._labels[servo_id] = joint
+
+    def joint(self, servo_id: int) -> str | None:
+        """The joint that a servo belongs to, None where it isn't known."""
+        return self._labels.get(servo_id)
 
     def describe(self, servo_id: int) -> str:
         """A servo in a message: "servo 3 (elbow)"."""
@@ -255,9 +258,10 @@ class DynamixelBus:
 
     def _read_group(self, group: Sequence[int], start: int, size: int) -> dict[int, Answer]:
         answers: dict[int, Answer] = {}
-        if len(group) > 1 and self.protocol == 2.0:
+        models = [self._model(servo_id) for servo_id in group]
+        if len(group) > 1 and self.protocol == 2.0 and all(model.sync_read for model in models):
             answers = self._line.sync_read(group, start, size)
-        elif len(group) > 1 and all(self._model(servo_id).bulk_read for servo_id in group):
+        elif len(group) > 1 and self.protocol == 1.0 and all(model.bulk_read for model in models):
             answers = self._line.bulk_read(group, start, size)
         return answers or {servo_id: self._line.read(servo_id, start, size) for servo_id in group}
 
@@ -272,7 +276,7 @@ def _span(table: Sequence[Register]) -> tuple[int, int]:
     """Address and size of the bytes from the first register to the last."""
     start = min(register.address for register in table)
     size = max(register.address + register.size for register in table) - start
-    if size == _MARKER_BYTES:
+    if size in MARKER_BYTES:  # those the line keeps for itself
         return (start - 1, size + 1) if start else (start, size + 1)
     return start, size
 

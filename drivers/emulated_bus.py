@@ -156,6 +156,11 @@ class EmulatedBus:
             self._wire.befall(min(t_ns, self._clock.now_ns()))
             return self._wire.servo(servo_id).shaft_rad(t_ns)
 
+    def register(self, servo_id: int, name: str) -> int:
+        """What a servo's register holds, as it was last written or sampled; raises DriverError for none."""
+        with self._wire.lock:
+            return self._wire.servo(servo_id).get(name)
+
     def raise_alarm(self, servo_id: int, name: str) -> None:
         """Let a servo fail now, for instance with "overload"."""
         with self._wire.lock:

@@ -28,6 +28,7 @@ from drivers.packets import BROADCAST, Frame, Instruction, crc16, encode, encode
 
 BITS_PER_BYTE = 10  # e-manual, Protocol: 8 bits, 1 start bit, 1 stop bit, no parity
 _SKEW_BITS = 3  # by how much two servos of one id answer one after the other
+_MAX_LENGTH = 0xFFFF  # LENGTH has two bytes (e-manual 2.0, Length)
 _FAST_HEADER = b"\xff\xff\xfd\x00\xfe"
 _STATUS = 0x55
 
@@ -186,7 +187,10 @@ class Wire:
         verified: that only the first one's return delay counts, and that a servo that refuses to read sends zeros.
         """
         lengths = [int.from_bytes(request[2:4], "little") for _, request in requests]
-        packet = _FAST_HEADER + (1 + sum(length + 4 for length in lengths)).to_bytes(2, "little") + bytes((_STATUS,))
+        total = 1 + sum(length + 4 for length in lengths)
+        if total > _MAX_LENGTH:
+            return  # no packet can be so long: nothing is sent; not verified
+        packet = _FAST_HEADER + total.to_bytes(2, "little") + bytes((_STATUS,))
         senders: list[EmulatedServo] = []
         for (id, request), length in zip(requests, lengths, strict=True):
             servo = servos.get(id)

@@ -6,6 +6,7 @@ Servos are ids here and registers are addresses; names are `drivers.dynamixel`'s
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TypeVar
@@ -23,8 +24,9 @@ _INSTRUCTION_PING, _INSTRUCTION_REBOOT = 0x01, 0x08
 _BROADCAST_ID, _LAST_ID = 0xFE, 252
 _BROADCAST_BYTES = {1.0: 8, 2.0: 14}  # a sync write without its data
 _STATUS_BYTES = {1.0: 6, 2.0: 11}  # a status packet without data
-# Model number and the byte after it: three bytes, a size that nothing else asks for, so that the reply can be told.
-_MARKER_ADDRESS, _MARKER_BYTES = 0, 3
+# Reads from address 0 of sizes that nothing else asks for, so that their replies can be told; used in turn, so that the
+# reply to one that came too late isn't taken for the next one's.
+MARKER_BYTES = (5, 7, 9, 13)
 # ms. After a group read that went wrong: the pause after which nobody is answering it any more, beside the wire time.
 _QUIET_MS = 5.0
 # ms. A servo answers a ping of all this long after the one with the id before (the SDK's own allowance).
@@ -62,6 +64,7 @@ class Line:
         self._attempts, self._labels = attempts, labels
         self._handler = make_handler(protocol)
         self._unsettled: set[int] = set()  # servos of which a late reply may yet come
+        self._markers = itertools.cycle(MARKER_BYTES)
         self._busy_until_ns: int | None = None
 
     def describe(self, servo_id: int) -> str:
@@ -204,11 +207,8 @@ class Line:
 
     def _settle(self, servo_id: int) -> None:
         """Wait until no late reply can come: a servo answers in order, and nothing else has the marker's size."""
-        self._exchange(
-            servo_id,
-            lambda: self._handler.readTx(self._port, servo_id, _MARKER_ADDRESS, _MARKER_BYTES),
-            _MARKER_BYTES,
-        )
+        size = next(self._markers)
+        self._exchange(servo_id, lambda: self._handler.readTx(self._port, servo_id, 0, size), size)
         self._unsettled.discard(servo_id)
 
     def _exchange(self, servo_id: int, send: Callable[[], int], size: int, *, ping: bool = False) -> Status:

@@ -10,12 +10,18 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import NamedTuple
 
+from drivers.errors import DriverError
+
 BROADCAST = 0xFE  # e-manual, Packet ID: all devices execute, none of them answers (but for ping and group reads)
 MAX_ID = 0xFC
 _STATUS = 0x55  # protocol 2.0, Instruction of a status packet
 _HEADER_1 = b"\xff\xff"
 _HEADER_2 = b"\xff\xff\xfd"
 _HEADER_2_FULL = b"\xff\xff\xfd\x00"
+_LONGEST_BODY_1 = 254  # LENGTH is one byte and counts the checksum
+# What LENGTH may count, two bytes of checksum included. Our own: the manual names no limit, the SDK takes no more, no
+# control table is that long; a false header's length may keep the packets after it waiting for no longer than this.
+_MAX_LENGTH_2 = 1024
 
 
 class Instruction(IntEnum):
@@ -102,11 +108,20 @@ def unstuff(body: bytes) -> bytes:
 
 
 def encode(servo_id: int, body: bytes, protocol: float) -> bytes:
-    """The bytes on the wire of a packet with this `body` (see Frame)."""
+    """The bytes on the wire of a packet with this `body` (see Frame); raises DriverError for one that is too long."""
     if protocol == 1.0:
+        if len(body) > _LONGEST_BODY_1:
+            raise DriverError(
+                f"servo {servo_id}: {len(body)} B in a packet of protocol 1.0; at most {_LONGEST_BODY_1} B"
+            )
         inner = bytes((servo_id, len(body) + 1)) + body
         return _HEADER_1 + inner + bytes((checksum(inner),))
     stuffed = stuff(body)
+    if len(stuffed) > _MAX_LENGTH_2 - 2:
+        raise DriverError(
+            f"servo {servo_id}: {len(stuffed)} B (with stuffing) in a packet of protocol 2.0; "
+            f"at most {_MAX_LENGTH_2 - 2} B; ask for less at once"
+        )
     packet = _HEADER_2_FULL + bytes((servo_id,)) + (len(stuffed) + 2).to_bytes(2, "little") + stuffed
     return packet + crc16(packet).to_bytes(2, "little")
 
@@ -131,7 +146,13 @@ def read_status(frame: Frame, protocol: float) -> Status | None:
 
 
 class FrameReader:
-    """Cuts a stream of bytes into frames, skipping what is no packet."""
+    """Cuts a stream of bytes into frames, skipping what is no packet.
+
+    The frames don't depend on how the stream is cut. Every intact packet is found, unless an intact one before it runs
+    into it (noise that has a right checksum by chance). It is found at once after bytes that hold no header; behind a
+    false header, whose length promises more than there is, it is found as soon as so many bytes have come, 259 at most
+    in protocol 1.0, 1031 in 2.0. `clear` gives up waiting for them.
+    """
 
     def __init__(self, protocol: float) -> None:
         self._take = _take_1 if protocol == 1.0 else _take_2
@@ -185,7 +206,7 @@ def _take_2(buffer: bytearray) -> Frame | None:
         if len(buffer) < 7:
             return None
         servo_id, length = buffer[4], int.from_bytes(buffer[5:7], "little")
-        if buffer[3] != 0 or servo_id in (0xFD, 0xFF) or not 3 <= length <= 1024:  # 1024: far over any table
+        if buffer[3] != 0 or servo_id in (0xFD, 0xFF) or not 3 <= length <= _MAX_LENGTH_2:
             del buffer[:1]
             continue
         size = 7 + length

@@ -60,7 +60,7 @@ class SafetyLimits:
     max_load: float | None = None
     stall_load: float = 0.5
     stall_s: float = 1.0
-    watchdog_s: float = 1.0
+    watchdog_s: float = 0.0
 
 
 class _Since:

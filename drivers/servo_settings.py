@@ -41,7 +41,7 @@ def check_settings(bus: DynamixelBus, joint: JointConfig, servo: ServoConfig) ->
     """
     model = servo.table
     _check_status_level(bus, joint, servo)
-    for complaint in (*_mode(bus, servo, model), *_following(bus, joint, servo, model)):
+    for complaint in (*_mode(bus, servo, model), *following(bus, joint, servo, model)):
         text = f"servo {servo.id} ({joint.name}) on {bus.where} {complaint}"
         raise ServoFault(text, servo_id=servo.id, joint=joint.name)
     _check_limits(bus, joint, servo, model)
@@ -88,7 +88,8 @@ def _mode(bus: DynamixelBus, servo: ServoConfig, model: ServoModel) -> Iterator[
         yield f"has the reverse bit of its drive mode {have}; the rig wants it {want} ('reversed' in rig.toml)"
 
 
-def _following(bus: DynamixelBus, joint: JointConfig, servo: ServoConfig, model: ServoModel) -> Iterator[str]:
+def following(bus: DynamixelBus, joint: JointConfig, servo: ServoConfig, model: ServoModel) -> Iterator[str]:
+    """What is wrong with whom a servo follows, as the rest of a sentence about it."""
     leader = joint.servos[0].id
     if servo.ganging == "secondary_id" and (have := bus.read(servo.id, "secondary_id")) != leader:
         yield f"has secondary id {have}; to follow servo {leader} it must be {leader}"

@@ -32,13 +32,16 @@ __all__ = [
     "EmulatedArm",
     "Rig",
     "RigFile",
+    "frame_size",
     "joint_configs",
     "load_rig",
     "open_rig",
     "packaged",
     "packaged_names",
     "read_rig",
+    "rendered_camera",
     "safety_limits",
+    "virtual_reply_timeout_s",
 ]
 
 # On a virtual clock a slow machine must not make a reply late: waits for one are then real time, and generous.
@@ -107,7 +110,7 @@ def open_rig(rig: RigFile, *, simulate: bool = False, realtime: bool = False, se
     with ExitStack() as stack:
         bus = EmulatedArm(table, simulation, clock, seed=seed) if emulated and simulation is not None else None
         port = table.bus.port if bus is None else stack.enter_context(bus).path
-        timeout_s = _reply_timeout_s(simulation) if virtual else None
+        timeout_s = virtual_reply_timeout_s(simulation) if virtual else None
         client = DynamixelBus(
             port, baud=table.bus.baud, protocol=table.bus.protocol, clock=clock, reply_timeout_s=timeout_s
         )
@@ -120,21 +123,22 @@ def open_rig(rig: RigFile, *, simulate: bool = False, realtime: bool = False, se
         )
         if bus is not None and simulation is not None and rendered:
             stage = Stage(table, simulation, rig.camera_model, seed or 0)
-            camera: Camera = _rendered_camera(table, simulation.camera, stage, bus, clock, realtime=not virtual)
+            camera: Camera = rendered_camera(table, simulation.camera, stage, bus, clock, realtime=not virtual)
         else:
-            camera = Webcam(table.camera.source, _size(table), table.camera.fps, clock)
+            camera = Webcam(table.camera.source, frame_size(table), table.camera.fps, clock)
         stack.callback(camera.close)
         camera.start()
         simulated_seed = seed if emulated or rendered else None
         yield Rig(table, clock, virtual, arm, camera, rig.camera_model, table.marker_table(), simulated_seed)
 
 
-def _reply_timeout_s(simulation: SimulationTable | None) -> float:
+def virtual_reply_timeout_s(simulation: SimulationTable | None) -> float:
     """How long, in real time, a reply of a bus on a virtual clock is waited for."""
     return FAULTY_REPLY_TIMEOUT_S if simulation is not None and simulation.faults else VIRTUAL_REPLY_TIMEOUT_S
 
 
-def _size(table: RigTable) -> tuple[int, int]:
+def frame_size(table: RigTable) -> tuple[int, int]:
+    """(width, height) of the camera's frames."""
     return (table.camera.size_px[0], table.camera.size_px[1])
 
 
@@ -152,9 +156,10 @@ def safety_limits(table: RigTable) -> SafetyLimits:
     )
 
 
-def _rendered_camera(
+def rendered_camera(
     table: RigTable, camera: SimulatedCamera, stage: Stage, bus: EmulatedArm, clock: Clock, *, realtime: bool
 ) -> RenderedCamera:
+    """The camera that sees the emulated arm on its stage; not started yet."""
     shares = (np.arange(camera.blur_instants) + 0.5) / camera.blur_instants - 0.5
     offsets_ns = np.round(shares * camera.exposure_s * 1e9).astype(int).tolist()
 
@@ -163,7 +168,7 @@ def _rendered_camera(
 
     return RenderedCamera(
         render,
-        size_px=_size(table),
+        size_px=frame_size(table),
         fps=table.camera.fps,
         exposure_s=camera.exposure_s,
         latency_s=camera.latency_s,

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from calibration.intrinsics import CameraModel
-from drivers.errors import DriverError, NoCamera, NoPort
+from drivers.errors import NoCamera, NoPort
 from station.errors import InvalidData, InvalidFile
 from station.formats.rig import load_calibration, parse_rig
 from station.rig import load_rig, open_rig, packaged, packaged_names
@@ -172,6 +172,6 @@ def test_the_picture_shows_the_arms_actual_angles_in_the_middle_of_the_exposure(
     assert set(truth) & set(seen)
 
 
-def test_only_driver_errors_come_from_opening(tmp_path: Path):
-    with pytest.raises(DriverError), open_rig(load_rig(changed(tmp_path, '"AX-18A"', '"AX-99"'))):
-        pass
+def test_a_servo_model_that_is_not_known_is_said_when_the_rig_is_read(tmp_path: Path):
+    with pytest.raises(InvalidFile, match=r"rig\.toml: no servo model 'AX-99'; have AX-12A"):
+        load_rig(changed(tmp_path, '"AX-18A"', '"AX-99"'))

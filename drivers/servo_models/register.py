@@ -108,9 +108,10 @@ class Register:
     def _exact(self, quantity: float) -> float:
         """Counts from zero, fractions included."""
         unit = self._unit()
-        if not math.isfinite(quantity):
+        exact = quantity * unit.counts / unit.amount
+        if not math.isfinite(exact):  # of a quantity near float64's end the counts are beyond it
             raise DriverError(f"register '{self.name}' can't hold {quantity} {unit.si}; give a finite number")
-        return quantity * unit.counts / unit.amount
+        return exact
 
     def _unit(self) -> Unit:
         if self.unit is None:

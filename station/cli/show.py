@@ -51,6 +51,10 @@ class Bar:
         self.finish()
         self._task = self._progress.add_task(name, total=None)
 
+    def rename(self, name: str) -> None:
+        """The present piece of work has come to something else."""
+        self._progress.update(self._task, description=name)
+
     def finish(self) -> None:
         """The present piece of work is done."""
         if self._task is not None:

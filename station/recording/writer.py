@@ -63,7 +63,6 @@ if TYPE_CHECKING:
     from rerun.blueprint import Blueprint
 
 EVENT_LEVELS = ("INFO", "WARN", "ERROR")
-JPEG_QUALITY = 92
 # Between two flushes, s of the wall clock: a kill loses at most this much.
 FLUSH_PERIOD_S = 1.0
 # A flush that takes longer means that the disk or the viewer takes nothing any more, s.
@@ -128,12 +127,9 @@ def _encoded(image: bytes | NDArray[np.uint8]) -> bytes:
     """The JPEG of a BGR (H, W, 3) or grey (H, W) image; bytes are a JPEG already."""
     if isinstance(image, bytes):
         return image
-    import cv2
+    from station.perception.jpeg import encode_jpeg
 
-    done, jpeg = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
-    if not done:
-        raise InvalidData(f"an image of shape {image.shape}, {image.dtype} can't be encoded; want (H, W, 3) uint8")
-    return jpeg.tobytes()
+    return encode_jpeg(image)
 
 
 class RecordingWriter:

@@ -292,8 +292,13 @@ def test_settings_that_cannot_work_are_told_at_connect() -> None:
 def test_a_servo_that_ignores_a_write_is_found_by_reading_back() -> None:
     with bench() as b:
         b.arm.connect()
-        read = b.bus.read
-        b.bus.read = lambda id, register: 0 if register == "torque_enable" and id == 6 else read(id, register)  # type: ignore
+        write = b.servos[6].write
+
+        def ignore(address: int, data: bytes, t_ns: int, **how: bool) -> None:
+            if address != b.servos[6].model.registers["torque_enable"].address:
+                write(address, data, t_ns, **how)
+
+        b.servos[6].write = ignore  # type: ignore[method-assign]
         with pytest.raises(ServoFault, match=r"servo 6 \(wrist\): wrote 1 to 'torque_enable', it reads 0"):
             b.arm.torque_on()
         assert not any(servo.get("torque_enable") for servo in b.servos.values())  # all are let go again

@@ -95,8 +95,8 @@ def test_servos_with_bulk_read_share_one_exchange_in_protocol_1() -> None:
             assert (len({reading.t_ns for reading in readings.values()}) == 1) == shared
 
 
-def test_a_block_of_three_bytes_is_asked_for_with_a_fourth() -> None:
-    """Three bytes are what the driver asks for to be sure that no late reply is under way."""
+def test_a_block_of_a_markers_size_is_asked_for_with_one_byte_more() -> None:
+    """Reads of five bytes are what the driver asks for to be sure that no late reply is under way."""
     sizes: list[int] = []
 
     def note(servo_id: int, reply: bytes) -> Iterable[tuple[int, bytes]]:
@@ -105,10 +105,34 @@ def test_a_block_of_three_bytes_is_asked_for_with_a_fourth() -> None:
 
     with station("AX-18A", 1.0, alter_reply=note) as (bus, _):
         bus.model(1)
-        block = bus.read_blocks({1: ("present_voltage", "present_temperature", "registered")})[1]
-        assert sizes[-1] == 4
-        assert set(block.values) == {"present_voltage", "present_temperature", "registered"}
+        block = bus.read_blocks({1: ("present_load", "present_voltage", "registered")})[1]
+        assert sizes[-1] == 6
         assert block.values["present_voltage"] == bus.read(1, "present_voltage")
+
+
+def test_the_echo_of_a_question_that_was_given_up_is_no_answer_to_the_next() -> None:
+    """Two questions are answered late, each behind its echo: none of those packets is the answer to the third."""
+    wanted = [False]
+    held: list[bytes] = []
+
+    def hold(servo_id: int, reply: bytes) -> Iterable[tuple[int, bytes]]:
+        size = len(reply) - 6
+        echo = encode_instruction(1, Instruction.READ, bytes((0 if size > 2 else 36, size)), 1.0)
+        if not wanted[0]:
+            yield 0, reply
+        elif len(held) < 2:
+            held.append(echo + reply)
+        else:
+            wanted[0] = False
+            yield 0, held[0] + held[1]
+            time.sleep(0.05)  # a driver that believed the second one has asked its question again by now
+            yield 0, echo + reply
+
+    with station("AX-18A", 1.0, timeout_s=QUICK_S, alter_reply=hold) as (bus, _):
+        bus.model(1)
+        wanted[0] = True
+        assert bus.read(1, "present_position") == 512
+        assert bus.errors["retries"] == 2
 
 
 def test_one_ping_finds_all_servos_of_protocol_2() -> None:

@@ -33,6 +33,8 @@ REPLY_MS = 34  # the SDK's deadline beside the wire time
 @contextmanager
 def emulated(protocol: float, *, real: bool = False, alter_reply: AlterReply | None = None) -> Iterator[EmulatedBus]:
     servos = [EmulatedServo(id, MODEL[protocol], protocol=protocol) for id in (1, 2, 3)]
+    for servo in servos if protocol == 2.0 else ():
+        servo.set("velocity_limit", 0x7FFFFFFF)  # so that goal_velocity takes any four bytes
     clock = MonotonicClock() if real else VirtualClock()
     with EmulatedBus(servos, baud=BAUD, clock=clock, alter_reply=alter_reply) as bus:
         yield bus

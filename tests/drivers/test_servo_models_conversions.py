@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 import math
+from random import Random
 
 import pytest
 from hypothesis import given
@@ -24,6 +26,12 @@ MEASURED = {
 }
 SMALL = [register for register in MEASURED.values() if register.size < 4]
 LARGE = [register for register in MEASURED.values() if register.size == 4]
+# Speed registers that differ in unit or greatest value, one of each, with its model.
+SPEEDS = {
+    (speed.unit, speed.maximum): model
+    for model in map(load_model, MODELS)
+    for speed in [model.register(model.speed_register)]
+}
 
 
 def describe(register: Register) -> str:
@@ -49,10 +57,15 @@ def test_any_count_of_a_large_register_survives_the_way_to_its_quantity(data: st
 
 
 @pytest.mark.parametrize("register", LARGE, ids=describe)
-def test_the_ends_of_a_large_register_survive_too(register: Register) -> None:
+def test_counts_from_all_over_a_large_register_survive_too(register: Register) -> None:
+    # All near zero, both sides of every power of two (where float64's steps change), the ends, and some anywhere.
     low, high = register.span
-    for count in (low, low + 1, -1, 0, 1, high - 1, high):
-        assert count < low or converts_back(register, count)
+    powers = [sign * 2**power + near for sign in (-1, 1) for power in range(33) for near in (-1, 0, 1)]
+    ends = [low, low + 1, high - 1, high]
+    rng = Random(0)
+    anywhere = [rng.randint(low, high) for _ in range(5000)]
+    for count in {*range(-5000, 5001), *powers, *ends, *anywhere, register.zero - 1, register.zero, register.zero + 1}:
+        assert not low <= count <= high or converts_back(register, count)
 
 
 @given(st.data())
@@ -101,6 +114,43 @@ def test_a_speed_in_units_never_exceeds_the_speed(model: ServoModel, rad_s: floa
     units = model.speed_units_within(rad_s)
     assert units * model.speed_unit_rad_s <= rad_s * (1 + 1e-8) + 1e-8  # a whole number of units stays that number
     assert units == model.speed_max or (units + 1) * model.speed_unit_rad_s > rad_s
+
+
+@pytest.mark.parametrize("model", SPEEDS.values(), ids=lambda model: model.name)
+def test_every_speed_unit_is_within_its_own_speed_and_not_within_less(model: ServoModel) -> None:
+    speed = model.register(model.speed_register)
+    for units in range(1, model.speed_max + 1):
+        assert model.speed_units_within(speed.physical(units)) == units
+        assert model.speed_units_within(speed.physical(units - 1e-6)) == units - 1
+    assert model.speed_units_within(speed.physical(model.speed_max + 1)) == model.speed_max
+    assert model.speed_units_within(-1.0) == model.speed_units_within(0.0) == 0
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_a_models_units_are_those_of_the_registers_in_these_roles(name: str) -> None:
+    model = load_model(name)
+    speed = model.register(model.speed_register)
+    assert model.rad_per_count == pytest.approx(
+        model.rad(model.zero_count + 1) - model.rad(model.zero_count), rel=1e-12
+    )
+    assert model.speed_unit_rad_s == pytest.approx(speed.physical(1), rel=1e-15)
+    if model.acceleration_register is None:
+        assert model.acceleration_unit_rad_s2 is None
+    else:
+        acceleration = model.register(model.acceleration_register)
+        assert model.acceleration_unit_rad_s2 == pytest.approx(acceleration.physical(1), rel=1e-15)
+    assert model.group_read == (model.sync_read or model.bulk_read)
+    with pytest.raises(DriverError, match="'led' has no unit"):
+        _ = dataclasses.replace(model, speed_register="led").speed_unit_rad_s
+
+
+@pytest.mark.parametrize("name", MODELS)
+@given(bits=st.integers(0, 255))
+def test_every_error_bit_has_a_name_of_its_own(name: str, bits: int) -> None:
+    model = load_model(name)
+    names = model.error_names(bits)
+    assert len(set(names)) == len(names) == bits.bit_count()
+    assert {model.error_bits.get(bit, f"bit {bit}") for bit in range(8) if bits >> bit & 1} == set(names)
 
 
 @given(st.data())
@@ -183,3 +233,6 @@ def test_no_quantity_without_a_unit_and_none_that_is_not_finite() -> None:
         for convert in (model.count, model.register("goal_position").count_at_most, model.speed_units_within):
             with pytest.raises(DriverError, match="finite"):
                 convert(worthless)
+    for quantity in (1e308, -1e308):  # so many counts are no float64
+        with pytest.raises(DriverError, match="finite"):
+            model.register("goal_position").count(quantity)
