@@ -63,7 +63,10 @@ class Line:
         self._port, self._protocol, self._clock = port, protocol, clock
         self._attempts, self._labels = attempts, labels
         self._handler = make_handler(protocol)
-        self._unsettled: set[int] = set()  # servos of which a late reply may yet come
+        # Failures so far, and how many there had been when each servo last had nothing more to say. A late reply may be
+        # under another's id: after a failure all servos are in doubt.
+        self._failures = 0
+        self._settled_at: dict[int, int] = {}
         self._markers = itertools.cycle(MARKER_BYTES)
         self._busy_until_ns: int | None = None
 
@@ -74,12 +77,14 @@ class Line:
 
     def ping(self, servo_id: int) -> int:
         """The model number of a servo."""
-        if self._protocol == 1.0:
-            self._retry(servo_id, lambda: self._exchange(servo_id, lambda: self._send_plain(servo_id, 1), 0, ping=True))
-            return int.from_bytes(self.read(servo_id, 0, 2).data, "little")
-        # protocol 2.0: model number and firmware version
-        status = self._retry(servo_id, lambda: self._exchange(servo_id, lambda: self._send_plain(servo_id, 1), 3))
-        return int.from_bytes(status.parameters[:2], "little")
+        size = 0 if self._protocol == 1.0 else 3  # protocol 2.0: model number and firmware version
+
+        def ask() -> Status:
+            return self._exchange(servo_id, lambda: self._send_plain(servo_id, _INSTRUCTION_PING), size, ping=True)
+
+        status = self._retry(servo_id, ask, settle=False)  # a servo may answer pings alone
+        data = status.parameters[:2] if size else self.read(servo_id, 0, 2).data
+        return int.from_bytes(data, "little")
 
     def ping_all(self) -> dict[int, int]:
         """Model number of every servo that answers one ping to all (protocol 2.0); waits until the last could have."""
@@ -167,7 +172,7 @@ class Line:
     def _group_read(self, servo_ids: Sequence[int], size: int, send: Callable[[], int]) -> dict[int, Answer]:
         """All replies, in order, or none: where one is missing, another may stand in its place under its id."""
         for servo_id in servo_ids:
-            if servo_id in self._unsettled:
+            if self._in_doubt(servo_id):
                 self._retry(servo_id, lambda: None)  # settles it first
         t_request_ns = self._now_ns()
         data: dict[int, bytes] = {}
@@ -178,7 +183,7 @@ class Line:
                 self._check(status, f"a group read of {size} B")
                 data[servo_id] = status.parameters
         except (NoReply, CorruptReply):
-            self._unsettled |= set(servo_ids)
+            self._failures += 1
             self.counts["fallbacks"] += 1
             self._wait_for_quiet(len(servo_ids) * (size + _STATUS_BYTES[self._protocol]))
             return {}
@@ -191,25 +196,29 @@ class Line:
         while self._receive()[1] != COMM_RX_TIMEOUT:
             pass
 
-    def _retry(self, servo_id: int, attempt: Callable[[], T]) -> T:
+    def _retry(self, servo_id: int, attempt: Callable[[], T], *, settle: bool = True) -> T:
         """Do an exchange, as often as is allowed."""
         for left in reversed(range(self._attempts)):
             try:
-                if servo_id in self._unsettled:
+                if settle and self._in_doubt(servo_id):
                     self._settle(servo_id)
                 return attempt()
             except (NoReply, CorruptReply):
-                self._unsettled.add(servo_id)
+                self._failures += 1
                 if not left:
                     raise
                 self.counts["retries"] += 1
         raise AssertionError("unreachable")
 
+    def _in_doubt(self, servo_id: int) -> bool:
+        """Whether a late reply may come that this servo sent, or that says so."""
+        return self._settled_at.get(servo_id, 0) < self._failures
+
     def _settle(self, servo_id: int) -> None:
-        """Wait until no late reply can come: a servo answers in order, and nothing else has the marker's size."""
+        """Wait until no late reply can come: the line keeps its order, and nothing else has the marker's size."""
         size = next(self._markers)
         self._exchange(servo_id, lambda: self._handler.readTx(self._port, servo_id, 0, size), size)
-        self._unsettled.discard(servo_id)
+        self._settled_at[servo_id] = self._failures
 
     def _exchange(self, servo_id: int, send: Callable[[], int], size: int, *, ping: bool = False) -> Status:
         """Send an instruction, return the status packet with `size` bytes of data, or with an error."""

@@ -152,7 +152,8 @@ def unplugs(protocol: float, times: int, seed: int) -> tuple[Counter[str], int]:
 
         for _ in range(times):
             losses: list[str] = []
-            with DynamixelBus(emulated.path, baud=BAUD, protocol=protocol, clock=clock) as bus:
+            # Patient: a stalled machine must not look like a servo that is silent.
+            with DynamixelBus(emulated.path, baud=BAUD, protocol=protocol, clock=clock, reply_timeout_s=5.0) as bus:
                 users = [threading.Thread(target=use, args=(bus, losses)) for _ in range(2)]
                 for user in users:
                     user.start()

@@ -110,6 +110,29 @@ def test_a_block_of_a_markers_size_is_asked_for_with_one_byte_more() -> None:
         assert block.values["present_voltage"] == bus.read(1, "present_voltage")
 
 
+@BOTH
+def test_after_a_failure_no_servo_is_believed_before_the_line_is_clear(model: str, protocol: float) -> None:
+    """Servo 1 was given up; what it says late stands under the id of servo 2, and has the size of its answer."""
+    late = encode_status(2, 0, b"\x11\x01", protocol)
+
+    def speak(servo_id: int, reply: bytes) -> Iterable[tuple[int, bytes]]:
+        if servo_id == 1:
+            return ()
+        sent = ((0, late), (0, reply)) if late in held else ((0, reply),)
+        held.clear()
+        return sent
+
+    held: list[bytes] = []
+    register = "goal_position" if protocol == 1.0 else "present_input_voltage"
+    with station(model, protocol, timeout_s=QUICK_S, alter_reply=speak) as (bus, _):
+        want = bus.read(2, register)
+        bus._models[1] = bus.model(2)
+        with pytest.raises(NoReply):
+            bus.read(1, register)
+        held.append(late)
+        assert bus.read(2, register) == want
+
+
 def test_the_echo_of_a_question_that_was_given_up_is_no_answer_to_the_next() -> None:
     """Two questions are answered late, each behind its echo: none of those packets is the answer to the third."""
     wanted = [False]
