@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from drivers.emulated_servo import EmulatedServo
+from drivers.errors import DriverError
 from drivers.servo_models import load_model
 from tests.drivers.servo_access import MS, RPM, S, alarms, physical, read, write
 
@@ -233,3 +234,15 @@ def test_without_load_play_and_obstruction_the_shaft_is_its_profile() -> None:
     free, loaded = holding("XM430-W350", 3000), holding("XM430-W350", 3000, load_nm=lambda _: 0.0)
     times = range(0, 3 * S, 7 * MS)
     assert [loaded.shaft_rad(t) for t in times] == pytest.approx([free.shaft_rad(t) for t in times], abs=1e-12)
+
+
+def test_the_past_under_load_is_kept_for_five_seconds() -> None:
+    servo = holding("XM430-W350", 3000, load_nm=lambda t_ns: math.sin(t_ns * 2e-9), backlash_rad=0.01)
+    write(servo, "profile_velocity", 5, 0)
+    then = {t_ns: servo.shaft_rad(t_ns) for t_ns in range(0, 9 * S, 33 * MS)}
+    now_ns = max(then)
+    for t_ns, rad in then.items():
+        if t_ns >= now_ns - 5 * S:
+            assert servo.shaft_rad(t_ns) == rad
+    with pytest.raises(DriverError, match="last 5 s"):
+        servo.shaft_rad(now_ns - 6 * S)
