@@ -45,7 +45,8 @@ class EmulatedServo:
         protocol: that it speaks; the model's factory setting if None.
         eeprom: registers of the EEPROM area as the owner set them; a reboot keeps them, a factory reset doesn't.
         load_nm: torque on the shaft from outside at a time in ns, positive anticlockwise. It is asked every 10 ms of
-            the servo's time and held in between; it may ask any servo for its `shaft_rad` at that time.
+            the servo's time and held in between; it may ask any servo for its `shaft_rad` at that time, if all are
+            advanced together, as a bus does.
         backlash_rad: play between motor and shaft, on whose side the position sensor is.
 
     Not emulated: the integral and derivative gains, feedforward, Punch of the MX, external ports, S.BUS and the like,

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from drivers.emulated_servo import EmulatedServo
+from drivers.errors import DriverError
 from drivers.servo_models import load_model
 from tests.drivers.servo_access import MS, RPM, S, alarms, physical, read, write
 
@@ -125,6 +126,42 @@ def test_a_load_that_asks_for_the_shaft_itself_gets_an_answer() -> None:
     assert servo.shaft_rad(5 * S) == pytest.approx(rad, abs=1e-6)
 
 
+def test_servos_whose_loads_depend_on_each_other_move_the_same_whoever_is_asked_first() -> None:
+    def moved(first: int) -> list[tuple[float, ...]]:
+        def load_nm(t_ns: int) -> float:
+            return -0.8 * math.sin(sum(servo.shaft_rad(t_ns) for servo in arm))
+
+        arm = [EmulatedServo(id, "XM430-W350", load_nm=load_nm, backlash_rad=0.01) for id in (1, 2, 3)]
+        asked = arm[first:] + arm[:first]
+        angles: list[tuple[float, ...]] = []
+        for t_ns in range(0, 3 * S, 111 * MS):
+            for servo in asked:
+                servo.hear(t_ns)
+            if t_ns == 0:
+                for servo in arm:
+                    write(servo, "torque_enable", 1, t_ns)
+                    write(servo, "goal_position", 2048 + 300 * servo.id, t_ns)
+            angles.append(tuple(servo.shaft_rad(t_ns) for servo in arm))
+        return angles
+
+    assert moved(0) == moved(1) == moved(2)
+    # each holds the weight at the angle of all three, by its spring
+    *_, (one, two, three) = moved(0)
+    droop = 0.8 * math.sin(one + two + three) / (4.1 / 885 * (800 / 128) / COUNT_X)
+    assert 2 * 300 * COUNT_X - two == pytest.approx(droop + 0.005, abs=1e-6)
+
+
+def test_a_push_that_rests_becomes_an_overload_when_the_gain_rises() -> None:
+    servo = holding("XM430-W350", 2048)
+    servo.obstruct(None, 0.2, 0)
+    write(servo, "goal_position", 2190, 0)  # 0.218 rad: a push, no overload
+    assert servo.shaft_rad(100 * S) == 0.2
+    assert alarms(servo) == ()
+    write(servo, "position_p_gain", 16_000, 100 * S)
+    servo.advance(102 * S)
+    assert alarms(servo) == ("overload",)
+
+
 def test_the_shaft_stops_at_an_obstruction_and_goes_on_when_it_is_away() -> None:
     servo = holding("XM430-W350", 2500)
     write(servo, "goal_position", 2048, 3 * S)
@@ -197,3 +234,15 @@ def test_without_load_play_and_obstruction_the_shaft_is_its_profile() -> None:
     free, loaded = holding("XM430-W350", 3000), holding("XM430-W350", 3000, load_nm=lambda _: 0.0)
     times = range(0, 3 * S, 7 * MS)
     assert [loaded.shaft_rad(t) for t in times] == pytest.approx([free.shaft_rad(t) for t in times], abs=1e-12)
+
+
+def test_the_past_under_load_is_kept_for_five_seconds() -> None:
+    servo = holding("XM430-W350", 3000, load_nm=lambda t_ns: math.sin(t_ns * 2e-9), backlash_rad=0.01)
+    write(servo, "profile_velocity", 5, 0)
+    then = {t_ns: servo.shaft_rad(t_ns) for t_ns in range(0, 9 * S, 33 * MS)}
+    now_ns = max(then)
+    for t_ns, rad in then.items():
+        if t_ns >= now_ns - 5 * S:
+            assert servo.shaft_rad(t_ns) == rad
+    with pytest.raises(DriverError, match="last 5 s"):
+        servo.shaft_rad(now_ns - 6 * S)
