@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from drivers.checked_writes import read_each, write_together
 from drivers.clock import Clock
 from drivers.dynamixel import Block, DynamixelBus
 from drivers.errors import ArmFault, DriverError, ServoFault
@@ -91,6 +92,7 @@ class Arm:
             if bus.protocol not in servo.table.protocols:
                 raise DriverError(f"servo {servo.id} ({joint.name}): {servo.model} doesn't speak {bus.protocol:.1f}")
             bus.label(servo.id, joint.name)
+        self._ids = tuple(ids)
         self._status_registers = {servo.id: servo.table.status_registers for _, servo in self._servos()}
 
     @property
@@ -129,16 +131,20 @@ class Arm:
         so small that it would round to 0, before anything is sent.
         """
         self._need_connection()
-        units: list[tuple[JointConfig, ServoConfig, int]] = []
+        units: list[tuple[ServoConfig, int]] = []
+        speeds_of: dict[str, dict[int, int]] = {}
+        accelerations: dict[str, dict[int, int]] = {}
         for joint, speed in zip(self._joints, self._vector(speeds, "speeds"), strict=True):
-            units += [(joint, servo, _speed_units(joint, servo, speed)) for servo in joint.servos if servo.takes_goals]
-            units += [(joint, servo, units[-1][2]) for servo in joint.servos if servo.ganging == "secondary_id"]
-        for joint, servo, value in units:
+            units += [(servo, _speed_units(joint, servo, speed)) for servo in joint.servos if servo.takes_goals]
+            units += [(servo, units[-1][1]) for servo in joint.servos if servo.ganging == "secondary_id"]
+        for servo, value in units:
             model = servo.table
-            unit = model.acceleration_unit_rad_s2
-            if model.acceleration_register and unit:
-                self._write_checked(joint, servo, model.acceleration_register, int(PROFILE_ACCELERATION_RAD_S2 / unit))
-            self._write_checked(joint, servo, model.speed_register, value)
+            speeds_of.setdefault(model.speed_register, {})[servo.id] = value
+            if model.acceleration_register and (unit := model.acceleration_unit_rad_s2):
+                accelerations.setdefault(model.acceleration_register, {})[servo.id] = int(
+                    PROFILE_ACCELERATION_RAD_S2 / unit
+                )
+        write_together(self._bus, accelerations | speeds_of)
         self._limited = True
 
     def torque_on(self) -> None:
@@ -154,8 +160,7 @@ class Arm:
         try:
             self._set_watchdog(0.0)  # one that has tripped refuses goals
             self._hold()
-            for joint, servo in self._servos():
-                self._write_checked(joint, servo, "torque_enable", 1)
+            write_together(self._bus, {"torque_enable": dict.fromkeys(self._ids, 1)})
             self._check_alarms()
             self._set_watchdog(self._limits.watchdog_s)
         except DriverError:
@@ -167,18 +172,10 @@ class Arm:
     def torque_off(self) -> None:
         """Let the arm go limp. All servos are told even if one fails; the first failure is raised then."""
         self._torque, self._goals = False, None
-        failures: list[DriverError] = []
-        for joint, servo in self._servos():
-            try:
-                self._write_checked(joint, servo, "torque_enable", 0)
-            except DriverError as failure:
-                failures.append(failure)
         try:
+            write_together(self._bus, {"torque_enable": dict.fromkeys(self._ids, 0)})
+        finally:
             self._set_watchdog(0.0)
-        except DriverError as failure:
-            failures.append(failure)
-        if failures:
-            raise failures[0]
 
     def stop(self) -> None:
         """Hold the arm where it is now; torque stays as it is."""
@@ -260,18 +257,24 @@ class Arm:
         return [float(value) for value in array]
 
     def _hold(self) -> None:
-        """Goal = present. A leader's goal reaches its followers by secondary id, so that theirs are set after it."""
-        for joint, servo in self._servos():
-            if servo.ganging != "sync_cable":
-                self._write_checked(joint, servo, "goal_position", self._bus.read(servo.id, "present_position"))
+        """Goal = present, of all servos that answer; the first failure is raised then.
+
+        A leader's goal reaches its followers by secondary id, so that theirs come after it.
+        """
         self._goals = None
+        ids = [servo.id for _, servo in self._servos() if servo.ganging != "sync_cable"]
+        present, failures = read_each(self._bus, ids, "present_position")
+        if present:
+            write_together(self._bus, {"goal_position": present})
+        if failures:
+            raise failures[0]
 
     def _set_watchdog(self, seconds: float) -> None:
         """Have the servos that can stop when they hear nothing for so long; 0 ends that."""
         units = min(math.ceil(seconds / WATCHDOG_UNIT_S), WATCHDOG_MOST)
-        for joint, servo in self._servos():
-            if WATCHDOG in servo.table.registers:
-                self._write_checked(joint, servo, WATCHDOG, units)
+        watching = [servo.id for _, servo in self._servos() if WATCHDOG in servo.table.registers]
+        if watching:
+            write_together(self._bus, {WATCHDOG: dict.fromkeys(watching, units)})
         self._heard_ns = self._clock.now_ns()
 
     def _check_silence(self, t_ns: int) -> None:
@@ -290,15 +293,6 @@ class Arm:
                 f"nothing was said on {self._bus.where} for {silence_s:.1f} s: servos {', '.join(stopped)} stopped by "
                 "their bus watchdog; give the station more processor time, or raise watchdog_s in the rig"
             )
-
-    def _write_checked(self, joint: JointConfig, servo: ServoConfig, register: str, value: int) -> None:
-        """Write a register and read it back."""
-        self._bus.write(servo.id, register, value)
-        have = self._bus.read(servo.id, register)
-        if have != value:
-            text = f"servo {servo.id} ({joint.name}): wrote {value} to '{register}', it reads {have}"
-            text = f"{text}; check the servo's limits and that nothing else writes to it"
-            raise ServoFault(text, servo_id=servo.id, joint=joint.name)
 
     def _joint_state(self, joint: JointConfig, states: Mapping[int, ServoState]) -> float:
         values = [servo.q(states[servo.id].count) for servo in joint.servos]

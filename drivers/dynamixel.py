@@ -131,6 +131,10 @@ class DynamixelBus:
         """Name the joint that a servo belongs to, for the messages."""
         self._labels[servo_id] = joint
 
+    def joint(self, servo_id: int) -> str | None:
+        """The joint that a servo belongs to, None where it isn't known."""
+        return self._labels.get(servo_id)
+
     def describe(self, servo_id: int) -> str:
         """A servo in a message: "servo 3 (elbow)"."""
         return self._line.describe(servo_id)
@@ -254,9 +258,10 @@ class DynamixelBus:
 
     def _read_group(self, group: Sequence[int], start: int, size: int) -> dict[int, Answer]:
         answers: dict[int, Answer] = {}
-        if len(group) > 1 and self.protocol == 2.0:
+        models = [self._model(servo_id) for servo_id in group]
+        if len(group) > 1 and self.protocol == 2.0 and all(model.sync_read for model in models):
             answers = self._line.sync_read(group, start, size)
-        elif len(group) > 1 and all(self._model(servo_id).bulk_read for servo_id in group):
+        elif len(group) > 1 and self.protocol == 1.0 and all(model.bulk_read for model in models):
             answers = self._line.bulk_read(group, start, size)
         return answers or {servo_id: self._line.read(servo_id, start, size) for servo_id in group}
 

@@ -104,6 +104,7 @@ class _Knot:
         rigid: motor and shaft are where the profile says: no load, no play, nothing in the way.
         load: torque on the shaft from outside, a part of the stall torque.
         lagging: the motor fell behind the profile since the knot before.
+        resting: nothing has moved since the knot before, and nothing will until something else happens.
     """
 
     t_ns: int
@@ -113,6 +114,7 @@ class _Knot:
     rigid: bool = True
     load: float = 0.0
     lagging: bool = False
+    resting: bool = False
     lower_rad: float = -math.inf
     upper_rad: float = math.inf
     lead: Lead | None = None
@@ -152,6 +154,11 @@ class Body:
         """Whether the shaft is where the profile says, so that nothing needs to be settled."""
         return self._knots[-1].rigid
 
+    @property
+    def resting(self) -> bool:
+        """Whether it needn't be settled until something happens to it."""
+        return self._knots[-1].resting
+
     def at(self, t_ns: int) -> tuple[float, float]:
         """Angle (rad) and speed (rad/s); raises DriverError for a time before the history."""
         knot = self._knot(t_ns)
@@ -164,14 +171,21 @@ class Body:
         before_ns = t_ns - _SPEED_OVER_NS
         return rad, (rad - self._rad(max(before_ns, self._times[0]))) / (_SPEED_OVER_NS * 1e-9)
 
+    def moving(self, t_ns: int) -> bool:
+        """Whether control is still on its way."""
+        lead = self._knot(t_ns).lead
+        return self.profile.moving(t_ns) if lead is None else lead.body.moving(t_ns)
+
     def output(self, t_ns: int) -> float:
         """What the motor gives at a time, a part of the stall torque, positive anticlockwise."""
         knot = self._knot(t_ns)
         if knot.lead is not None:
             return knot.lead.sign * knot.lead.body.output(t_ns)
         drive = knot.drive
-        if drive.control in (Control.TORQUE, Control.DUTY):
+        if drive.control is Control.TORQUE:
             return drive.output
+        if drive.control is Control.DUTY:  # a direct-current motor: the speed takes its part of the voltage
+            return drive.output - self.at(t_ns)[1] / self._max_speed_rad_s
         goal, rad_s = self.profile.at(t_ns)
         effort = FRICTION * ((rad_s > 0) - (rad_s < 0))
         effort += INERTIA * self.profile.acceleration(t_ns) / self._max_acceleration_rad_s2
@@ -186,16 +200,16 @@ class Body:
     def strain(self, t_ns: int) -> float:
         """Size of the output from a time on, as it heats; friction counts from the start of a motion."""
         knot = self._knot(t_ns)
-        if not knot.rigid or knot.drive.control in (Control.TORQUE, Control.DUTY):
+        if not knot.rigid or knot.drive.control is Control.TORQUE:
             return abs(self.output(t_ns))
         inertia = abs(self.profile.acceleration(t_ns)) / self._max_acceleration_rad_s2
         return INERTIA * inertia + FRICTION * self.profile.moving(t_ns)
 
-    def saturated(self) -> bool:
-        """Whether the motor gives all that it has and still doesn't get where it is told."""
-        knot = self._knots[-1]
+    def saturated(self, t_ns: int) -> bool:
+        """Whether the motor gave all that it has just before a time, and still didn't get where it was told."""
+        knot = self._knot(t_ns - 1)
         if knot.lead is not None:
-            return knot.lead.body.saturated()
+            return knot.lead.body.saturated(t_ns)
         drive = knot.drive
         if knot.rigid or drive.limit <= 0 or drive.limit < drive.full * _FULL:
             return False
@@ -234,15 +248,15 @@ class Body:
             if abs(gap) > _SAME_RAD:
                 self.profile.shift(last.t_ns, gap)
         if drive != last.drive:
-            self._add(replace(last, t_ns=max(t_ns, last.t_ns), drive=drive, **self._here(last, t_ns)))
+            self._add(replace(last, t_ns=max(t_ns, last.t_ns), drive=drive, resting=False, **self._here(last, t_ns)))
 
     def obstruct(self, t_ns: int, lower_rad: float, upper_rad: float) -> None:
         """From `t_ns` on the shaft can't leave this range; a bound that it is past already is where it stands."""
+        if self._knots[-1].lead is not None:  # it stands where its leader does
+            return
         motor, shaft = self._state(self._knots[-1], t_ns)
-        if self._knots[-1].lead is not None:
-            raise DriverError("a servo that follows another by a sync cable stands where that one does: obstruct that")
         lower, upper = min(lower_rad, shaft), max(upper_rad, shaft)
-        loose = replace(self._knots[-1], rigid=False, lower_rad=lower, upper_rad=upper)
+        loose = replace(self._knots[-1], rigid=False, resting=False, lower_rad=lower, upper_rad=upper)
         self._add(replace(loose, t_ns=max(t_ns, loose.t_ns), motor_rad=motor, shaft_rad=shaft))
         self.settle(t_ns)
 
@@ -302,7 +316,16 @@ class Body:
         if t_ns > knot.t_ns and not knot.rigid:
             way = self.profile.at(t_ns)[0] - self.profile.at(knot.t_ns)[0]
             lagging = abs(way - (motor - knot.motor_rad)) > _SAME_RAD
-        return replace(knot, t_ns=t_ns, motor_rad=motor, shaft_rad=shaft, rigid=False, lagging=lagging)
+        still = t_ns > knot.t_ns and (motor, shaft) == (knot.motor_rad, knot.shaft_rad)
+        return replace(
+            knot,
+            t_ns=t_ns,
+            motor_rad=motor,
+            shaft_rad=shaft,
+            rigid=False,
+            lagging=lagging,
+            resting=still and self._load_nm is None and not self.profile.moving(t_ns),
+        )
 
     def _rejoin(self, t_ns: int) -> None:
         """Without load, play and obstruction, be rigid again as soon as the motor is where the profile says."""

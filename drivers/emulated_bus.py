@@ -79,7 +79,8 @@ class EmulatedBus:
         self._terminal: PseudoTerminal | None = None
         self._unplugged = False  # by `unplug`; a fault may keep the device away too
         self._wake: tuple[int, int] | None = None  # read, write
-        self._asking, self._obeyed = threading.Lock(), threading.Event()
+        self._asking, self._obeyed, self._ended = threading.Lock(), threading.Event(), threading.Event()
+        self._ended.set()
 
     @property
     def path(self) -> str:
@@ -104,6 +105,7 @@ class EmulatedBus:
         self._wire = self._make_wire(start_ns=self._clock.now_ns())
         self._forget_begun()
         self._wake = os.pipe()
+        self._ended.clear()
         self._thread = threading.Thread(target=self._serve, name=f"emulated-bus {path}", daemon=True)
         self._thread.start()
 
@@ -123,8 +125,7 @@ class EmulatedBus:
 
     def wait(self) -> None:
         """Return when the bus has ended: it was closed elsewhere, or has failed."""
-        if self._thread is not None:
-            self._thread.join()
+        self._ended.wait()  # a thread's join, interrupted by a signal, takes the thread for ended
 
     def summary(self) -> str:
         """What is on the bus, for people."""
@@ -186,6 +187,7 @@ class EmulatedBus:
             if self._terminal is not None:
                 self._terminal.close()
                 self._terminal = None
+            self._ended.set()
 
     def _step(self) -> bool:
         """Wait for bytes, a wish or a fault, and see to it; False when the bus is to end."""

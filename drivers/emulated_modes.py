@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from enum import Enum
+from functools import cache
 
 from drivers.emulated_body import FRICTION, OFF, Control, Drive, Ramp, Spring
 from drivers.emulated_shaft import limits_for_duration
@@ -79,19 +80,14 @@ def bit(table: Table, name: str) -> bool:
     """Whether a bit of Drive Mode is set, by its name in the model's `drive_mode_bits`."""
     if "drive_mode" not in table:
         return False
-    bits = table.get("drive_mode")
-    return any(bits >> at & 1 for at, known in table.model.drive_mode_bits.items() if known == name)
+    return bool(table.get("drive_mode") & _drive_mode_masks(table.model).get(name, 0))
 
 
 def mode_of(table: Table) -> Mode:
     """The mode that the registers set."""
     model = table.model
     if model.operating_mode_register is not None:
-        value = table.get(model.operating_mode_register)
-        names = {code: name for name, code in model.operating_modes.items()}
-        mode = Mode(names.get(value, "position"))
-        # XL-320 manual, Moving Speed (32): in wheel mode a unit is 0.1 % of the output
-        return Mode.PWM if mode is Mode.VELOCITY and potentiometer(model) else mode
+        return _modes(model).get(table.get(model.operating_mode_register), Mode.POSITION)
     if "torque_control_mode_enable" in table and table.get("torque_control_mode_enable"):
         return Mode.CURRENT
     low, high = (table.get(name) for name in model.position_limit_registers)
@@ -99,6 +95,19 @@ def mode_of(table: Table) -> Mode:
         return Mode.PWM if potentiometer(model) else Mode.VELOCITY
     multi_turn = "multi_turn_offset" in table and low == high == model.resolution - 1
     return Mode.EXTENDED_POSITION if multi_turn else Mode.POSITION
+
+
+@cache
+def _modes(model: ServoModel) -> dict[int, Mode]:
+    modes = {code: Mode(name) for name, code in model.operating_modes.items()}
+    if potentiometer(model):  # XL-320 manual, Moving Speed (32): in wheel mode a unit is 0.1 % of the output
+        return {code: Mode.PWM if mode is Mode.VELOCITY else mode for code, mode in modes.items()}
+    return modes
+
+
+@cache
+def _drive_mode_masks(model: ServoModel) -> dict[str, int]:
+    return {name: 1 << at for at, name in model.drive_mode_bits.items()}
 
 
 def frame_of(table: Table, turns: int) -> Frame:

@@ -9,7 +9,6 @@ from drivers.emulated_heat import Heat
 from drivers.emulated_modes import frame_of, mode_of, potentiometer
 from drivers.emulated_shaft import BEGINNING_NS
 from drivers.emulated_table import Table
-from drivers.servo_models import Register
 
 # Counts. X-series manual, Moving Status (123), tells when it is in position, but not how near that is: a guess.
 IN_POSITION_COUNTS = 10
@@ -39,6 +38,7 @@ class Present:
         self.voltage_v = 0.0
         self.profile_phases = 0
         model = table.model
+        self._speed_unit_rad_s = model.speed_unit_rad_s
         values: dict[str, Callable[[int, float, float], int]] = {
             "present_position": self._position,
             "position_trajectory": lambda t, rad, rad_s: self.frame.count(body.profile.at(t)[0]),
@@ -54,11 +54,7 @@ class Present:
             "present_temperature": lambda t, rad, rad_s: round(self.heat.at(t)),
             "realtime_tick": lambda t, rad, rad_s: t // 1_000_000 % _TICK_MS,
         }
-        self._live: list[tuple[int, int, Register, Callable[[int, float, float], int]]] = []
-        for name, value in values.items():
-            if name in table:
-                register = table.registers[name]
-                self._live.append((register.address, register.address + register.size, register, value))
+        self._live = [(table.cells[name], value) for name, value in values.items() if name in table]
 
     def sample(self, address: int, length: int, t_ns: int) -> None:
         """Fill the registers of the present that these bytes touch."""
@@ -66,9 +62,9 @@ class Present:
         if self._table.covers_indirect_data(address, length):
             address, end = 0, self._table.model.size_bytes
         rad, rad_s = self._body.at(t_ns)
-        for start, stop, register, value in self._live:
-            if start < end and stop > address:
-                self._table.put(register, value(t_ns, rad, rad_s))
+        for cell, value in self._live:
+            if cell.start < end and cell.end > address:
+                self._table.fill(cell, value(t_ns, rad, rad_s))
 
     def _position(self, t_ns: int, rad: float, rad_s: float) -> int:
         count, model = self.frame.count(rad), self._table.model
@@ -80,10 +76,10 @@ class Present:
         return count % model.resolution if wheel else count
 
     def _speed(self, rad_s: float) -> int:
-        return round(self.frame.sign * rad_s / self._table.model.speed_unit_rad_s)
+        return round(self.frame.sign * rad_s / self._speed_unit_rad_s)
 
     def _moving(self, t_ns: int, rad: float, rad_s: float) -> int:
-        if self._body.profile.moving(t_ns):
+        if self._body.moving(t_ns):
             return 1
         return int("moving_threshold" in self._table and abs(self._speed(rad_s)) > self._table.get("moving_threshold"))
 
@@ -91,7 +87,7 @@ class Present:
         if not mode_of(self._table).positions:
             return 0
         status = _PROFILE[self.profile_phases] if self._table.get(self._table.model.speed_register) else 0
-        if self._body.profile.moving(t_ns):
+        if self._body.moving(t_ns):
             return status | 0x02
         near = abs(self.frame.count(rad) - self._table.get("goal_position")) <= IN_POSITION_COUNTS
         return status | int(near)
@@ -111,4 +107,4 @@ class Present:
 
     def _voltage(self, t_ns: int, rad: float, rad_s: float) -> int:
         register = self._table.registers[self._table.model.voltage_register]
-        return register.count(self.voltage_v) - int(self._body.profile.moving(t_ns))
+        return register.count(self.voltage_v) - int(self._body.moving(t_ns))

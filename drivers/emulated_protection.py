@@ -56,6 +56,12 @@ class Protection:
             new |= self._bits["overload"] & ~self.alarm
         return new
 
+    def overload_ns(self) -> int:
+        """When it is an overload, if the motor goes on giving all that it has."""
+        if self._saturated_ns is None or self.alarm & self._bits["overload"]:
+            return NEVER_NS
+        return self._saturated_ns + OVERLOAD_NS
+
     def raise_bits(self, bits: int) -> bool:
         """Set alarms; whether Shutdown says that torque goes for them."""
         self.alarm |= bits
@@ -65,7 +71,6 @@ class Protection:
         if shutdown:
             # X: torque is off until a reboot. AX: Torque Limit becomes 0 until it is written (e-manual, Shutdown).
             self._table.set("torque_limit" if self._table.model.recovery == "torque_limit" else "torque_enable", 0)
-            self._saturated_ns = None
         return shutdown
 
     def watchdog_ns(self) -> int:

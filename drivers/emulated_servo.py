@@ -5,6 +5,7 @@ from __future__ import annotations
 import heapq
 import math
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 
 from drivers.emulated_body import STEP_NS, Body
 from drivers.emulated_heat import Heat
@@ -12,6 +13,7 @@ from drivers.emulated_modes import Mode, bit, frame_of, mode_of
 from drivers.emulated_present import Present
 from drivers.emulated_protection import NEVER_NS, Protection
 from drivers.emulated_shaft import BEGINNING_NS
+from drivers.emulated_startup import configure, enter_mode, one_turn, power_up
 from drivers.emulated_steering import Steering
 from drivers.emulated_table import Refusal, Refused, Table
 from drivers.errors import DriverError
@@ -29,7 +31,7 @@ class EmulatedServo:
 
     Times of calls don't fall; a call for an earlier time than the latest happens at the latest. What the servo does by
     itself happens at its own time, however often it is asked in between. Its life begins with the first time that it
-    hears of, and it is quick to hear of the next if that isn't minutes away.
+    is asked or told something.
 
     Args:
         id: 0 to 252.
@@ -91,7 +93,8 @@ class EmulatedServo:
         self._now_ns, self._due_ns = BEGINNING_NS, BEGINNING_NS
         self._busy = False
         self._leader: EmulatedServo | None = None
-        self._configure(id, protocol, eeprom or {}, rad)
+        self._followers: list[EmulatedServo] = []
+        self._present.frame = power_up(self._table, rad, configure(self._table, id, protocol, eeprom or {}))
 
     @property
     def id(self) -> int:
@@ -145,26 +148,16 @@ class EmulatedServo:
     def set(self, register: str, value: int) -> None:
         """Set a register from inside, with no check and no consequence for the shaft."""
         self._table.set(register, value)
-        self._frame_again()
+        self._present.frame = frame_of(self._table, self._present.frame.turns)
 
     def advance(self, t_ns: int) -> None:
         """Bring the servo to a time: all that is due until then happens."""
         if self._leader is not None:
             self._leader.advance(t_ns)
-        if self._busy:  # a load that asks for an angle
             return
-        if self._due_ns <= t_ns:
-            self._busy = True
-            try:
-                if self._now_ns == BEGINNING_NS:
-                    self._due_ns = self._now_ns = self._protection.heard_ns = t_ns
-                self.shaft.forget(self._now_ns)
-                while self._due_ns <= t_ns:
-                    self._now_ns = max(self._now_ns, self._due_ns)
-                    self._happen(self._now_ns)
-            finally:
-                self._busy = False
-        self._now_ns = max(self._now_ns, t_ns)
+        self._advance(t_ns)
+        for follower in self._followers:
+            follower._advance(t_ns)
 
     def hear(self, t_ns: int) -> None:
         """An intact instruction packet is on the wire, whoever it is for: the bus watchdog starts anew."""
@@ -225,7 +218,7 @@ class EmulatedServo:
         rad, rad_s = self.shaft.at(self._now_ns)
         if rad_s:
             raise Refused(Refusal.RESULT)
-        self._turn_again(rad)
+        self._present.frame = one_turn(self._table, rad)
         self.set("goal_position", self._present.frame.count(rad))
 
     def store_backup(self) -> None:
@@ -270,6 +263,8 @@ class EmulatedServo:
 
     def obstruct(self, lower_rad: float | None, upper_rad: float | None, t_ns: int) -> None:
         """From a time on the shaft can't pass these angles; None is no bound, one that it is past is where it is."""
+        if self._leader is not None:
+            raise DriverError(f"servo {self.id} is joined to servo {self._leader.id} by a cable: obstruct that one")
         lower = -math.inf if lower_rad is None else lower_rad
         upper = math.inf if upper_rad is None else upper_rad
         if lower > upper:
@@ -293,11 +288,29 @@ class EmulatedServo:
         for servo in (self, leader):
             if not servo.model.sync_cable:
                 raise DriverError(f"servo {servo.id}: {servo.model.name} has no sync cable")
-        if leader is self or leader._leader is not None:
-            raise DriverError(f"servo {self.id} can't follow servo {leader.id}, which is no leader")
+        if leader is self or leader._leader is not None or self._leader is not None or self._followers:
+            raise DriverError(f"servo {self.id} can't follow servo {leader.id}: a sync cable joins two servos")
         self._leader = leader
+        leader._followers.append(self)
         self._steering.plug(leader.shaft, -1 if twisted else 1, self._now_ns)
         self._due_ns = min(self._due_ns, self._now_ns)
+
+    def _advance(self, t_ns: int) -> None:
+        if self._busy:  # a load that asks for an angle
+            return
+        if self._due_ns <= t_ns:
+            self._busy = True
+            try:
+                if self._now_ns == BEGINNING_NS:
+                    self._due_ns = self._now_ns = self._protection.heard_ns = t_ns
+                    self._present.heat = replace(self._present.heat, t_ns=t_ns)
+                self.shaft.forget(self._now_ns)
+                while self._due_ns <= t_ns:
+                    self._now_ns = max(self._now_ns, self._due_ns)
+                    self._happen(self._now_ns)
+            finally:
+                self._busy = False
+        self._now_ns = max(self._now_ns, t_ns)
 
     def _happen(self, t_ns: int) -> None:
         """What is due at a time."""
@@ -318,13 +331,15 @@ class EmulatedServo:
             t_ns,
             voltage_v=self._present.voltage_v,
             temperature_c=heat.temperature_c,
-            saturated=self.shaft.saturated(),
+            saturated=self.shaft.saturated(t_ns),
         )
         if new:
             self._alarm(new, t_ns)
         crossing = self._present.heat.crosses_ns(self._table.get("temperature_limit"))
         phase = (t_ns // STEP_NS + 1) * STEP_NS
-        if self.shaft.rigid:
+        if self.shaft.resting:
+            phase = max(self._protection.overload_ns(), t_ns + 1)
+        elif self.shaft.rigid:
             phase = self.shaft.profile.next_phase_ns(t_ns) or NEVER_NS
         change = self._changes[0][0] if self._changes else NEVER_NS
         self._due_ns = min(self._protection.watchdog_ns(), change, phase, NEVER_NS if crossing is None else crossing)
@@ -333,62 +348,15 @@ class EmulatedServo:
         if self._protection.raise_bits(bits):
             self._steering.release(t_ns)
 
-    def _configure(self, id: int, protocol: float | None, eeprom: Mapping[str, int], rad: float) -> None:
-        kept = [*eeprom, "id"]
-        for name, value in eeprom.items():
-            register = self.model.register(name)
-            if register.area != "EEPROM":
-                raise DriverError(f"{self.model.name}'s register '{name}' isn't in the EEPROM area: it isn't kept")
-            register.encode(value)
-            self._table.set(name, value)
-        if protocol is not None:
-            if protocol not in self.model.protocols:
-                spoken = " and ".join(f"{known:.1f}" for known in self.model.protocols)
-                raise DriverError(f"servo {id}: {self.model.name} speaks protocol {spoken}, not {protocol:.1f}")
-            if "protocol_type" in self._table:
-                self._table.set("protocol_type", int(protocol))
-                kept.append("protocol_type")
-        self._table.set("id", id)
-        self._power_up(rad, kept)
-
     def _restart(self, t_ns: int, *, keep: Sequence[str]) -> None:
         self.advance(t_ns)
         t_ns = self._now_ns
         self._registered, self._steering.halted = None, False
         self._protection.clear()
         self._steering.release(t_ns)
-        self._power_up(self.shaft.at(t_ns)[0], keep)
+        self._present.frame = power_up(self._table, self.shaft.at(t_ns)[0], keep)
         self._steering.see_to_cable(t_ns)
         self._settle(t_ns)
-
-    def _power_up(self, rad: float, keep: Sequence[str]) -> None:
-        self._table.power_up(set(keep))
-        self._turn_again(rad)
-        self.set("goal_position", self._present.frame.count(rad))
-        if "torque_limit" in self._table:  # e-manual, Max Torque (14): Torque Limit's value at power-up
-            self.set("torque_limit", self.get("max_torque"))
-        self._reset_goals()
-
-    def _reset_goals(self) -> None:
-        """e-manual, Operating Mode (11): PWM and current goals are reset to their limits.
-
-        Unverified: at power-up as well; in the modes of which they are the goal they are 0 here.
-        """
-        mode = mode_of(self._table)
-        for goal, limit, own in (
-            ("goal_pwm", "pwm_limit", Mode.PWM),
-            ("goal_current", "current_limit", Mode.CURRENT),
-        ):
-            if goal in self._table:
-                self.set(goal, 0 if mode is own else self.get(limit))
-
-    def _frame_again(self) -> None:
-        self._present.frame = frame_of(self._table, self._present.frame.turns)
-
-    def _turn_again(self, rad: float) -> None:
-        """Forget whole turns (e-manual, Present Position (132): at power-up, and when position control begins)."""
-        self._frame_again()
-        self._present.frame = frame_of(self._table, self._present.frame.turns_of(rad))
 
     def _checked(self, address: int, data: bytes, *, ram_only: bool = False) -> list[tuple[Register, int]]:
         entries = self._table.entries(address, data)
@@ -416,13 +384,13 @@ class EmulatedServo:
     def _obey(self, names: set[str], before: Mode, t_ns: int) -> None:
         """What follows from a write."""
         after = mode_of(self._table)
-        self._frame_again()
+        self._present.frame = frame_of(self._table, self._present.frame.turns)
         # e-manual, Present Position (132), of servos with an operating mode; unverified: MX with protocol 1.0 don't
         torque_on = "torque_enable" in names and self.get("torque_enable") and self.model.operating_mode_register
         if after is Mode.POSITION and (torque_on or before is not after):
-            self._turn_again(self.shaft.at(t_ns)[0])
+            self._present.frame = one_turn(self._table, self.shaft.at(t_ns)[0])
         if self.model.operating_mode_register in names and after is not before:
-            self._enter_mode(t_ns)
+            enter_mode(self._table, self._present.frame, self.shaft.at(t_ns)[0])
         if names & _GOALS:
             self._steering.halted = False
             if bit(self._table, "torque_on_by_goal_update") and not self._protection.shut_down:
@@ -438,12 +406,3 @@ class EmulatedServo:
         elif self._steering.concerns(names) or before is not after:
             self._steering.steer(t_ns)
         self._settle(t_ns)
-
-    def _enter_mode(self, t_ns: int) -> None:
-        """e-manual, Operating Mode (11): the profile and the goals' limits are reset; torque is off, by the lock."""
-        for name in (self.model.speed_register, self.model.acceleration_register, "goal_velocity"):
-            if name is not None and name in self._table:
-                self.set(name, 0)
-        self._reset_goals()
-        # unverified: that the goal is reset as well
-        self.set("goal_position", self._present.frame.count(self.shaft.at(t_ns)[0]))

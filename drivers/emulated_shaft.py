@@ -115,25 +115,19 @@ class Shaft:
     def shift(self, t_ns: int, rad: float) -> None:
         """Move the angle from `t_ns` on by `rad`; what was before stays."""
         here, rad_s = self.at(t_ns)
+        now = _Segment(t_ns, here + rad, rad_s, self.acceleration(t_ns))
         after = bisect.bisect_right(self._starts, t_ns)
         later = [replace(segment, rad=segment.rad + rad) for segment in self._segments[after:]]
-        kept = self._kept(t_ns)
-        self._set([*kept, _Segment(t_ns, here + rad, rad_s, self.acceleration(t_ns)), *later])
+        self._continue(t_ns, [now, *later])
 
     def _segment(self, t_ns: int) -> _Segment:
         return self._segments[max(0, bisect.bisect_right(self._starts, t_ns) - 1)]
-
-    def _kept(self, t_ns: int) -> list[_Segment]:
-        """What was before a time, as far back as the history goes."""
-        keep_to = bisect.bisect_left(self._starts, t_ns)
-        keep_from = max(0, bisect.bisect_right(self._starts, t_ns - HISTORY_NS) - 1)
-        return self._segments[min(keep_from, keep_to) : keep_to]
 
     def _replace(
         self, t_ns: int, phases: Sequence[tuple[float, float]], end: float | None, end_rad_s: float = 0.0
     ) -> None:
         rad, rad_s = self.at(t_ns)
-        segments = self._kept(t_ns)
+        start_ns, segments = t_ns, list[_Segment]()
         for duration, acceleration in phases:
             segments.append(_Segment(t_ns, rad, rad_s, acceleration))
             t_end_ns = t_ns + math.ceil(duration * 1e9)
@@ -141,8 +135,14 @@ class Shaft:
             rad, rad_s = rad + dt * (rad_s + 0.5 * acceleration * dt), rad_s + acceleration * dt
             t_ns = t_end_ns
         segments.append(_Segment(t_ns, rad if end is None else end, end_rad_s, 0.0))
-        self._set(segments)
+        self._continue(start_ns, segments)
 
-    def _set(self, segments: list[_Segment]) -> None:
-        self._segments = segments
-        self._starts = [segment.t_ns for segment in segments]
+    def _continue(self, t_ns: int, segments: Sequence[_Segment]) -> None:
+        """Replace what is from a time on, and forget what is longer than the history before it."""
+        keep_to = bisect.bisect_left(self._starts, t_ns)
+        del self._segments[keep_to:], self._starts[keep_to:]
+        self._segments.extend(segments)
+        self._starts.extend(segment.t_ns for segment in segments)
+        forgotten = min(bisect.bisect_right(self._starts, t_ns - HISTORY_NS) - 1, keep_to)
+        if forgotten > 0:
+            del self._segments[:forgotten], self._starts[:forgotten]

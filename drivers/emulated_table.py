@@ -7,6 +7,7 @@ from enum import Enum
 from functools import cache
 
 from drivers.servo_models import Register, ServoModel
+from drivers.servo_models.register import DIRECTION_BIT, MAGNITUDE
 
 
 class Refusal(Enum):
@@ -28,12 +29,40 @@ class Refused(Exception):
         self.reason = reason
 
 
+class Cell:
+    """Where a register's bytes are, and what they can hold: what `Register.encode` finds out anew each time."""
+
+    __slots__ = ("_magnitude", "_signed", "end", "high", "low", "modulus", "size", "start")
+
+    def __init__(self, register: Register) -> None:
+        self.start, self.size = register.address, register.size
+        self.end = register.address + register.size
+        self.low, self.high = register.span
+        self.modulus = 1 << 8 * register.size
+        self._magnitude = register.encoding == "sign_magnitude"
+        self._signed = register.encoding == "twos_complement"
+
+    def value(self, memory: bytearray) -> int:
+        """What the register holds."""
+        value = int.from_bytes(memory[self.start : self.end], "little", signed=self._signed)
+        if self._magnitude:
+            return -(value & MAGNITUDE) if value & DIRECTION_BIT else value & MAGNITUDE
+        return value
+
+    def bytes(self, value: int) -> bytes:
+        """Bytes of the nearest value that the register can hold."""
+        value = self.low if value < self.low else min(value, self.high)
+        if self._magnitude and value < 0:
+            value = DIRECTION_BIT - value
+        return (value % self.modulus).to_bytes(self.size, "little")
+
+
 class Table:
     """The control table of one servo, as bytes."""
 
     def __init__(self, model: ServoModel) -> None:
         self.model = model
-        self.registers = {register.name: register for register in _registers(model)}
+        self.registers, self.cells = _named(model)
         self._owners = _owners(model)
         self._memory = bytearray(model.size_bytes)
 
@@ -42,21 +71,26 @@ class Table:
 
     def get(self, name: str) -> int:
         """The value of a register."""
-        at = self.registers.get(name) or self.model.register(name)
-        return at.decode(bytes(self._memory[at.address : at.address + at.size]))
+        return self._cell(name).value(self._memory)
 
     def set(self, name: str, value: int) -> None:
         """Set a register, whatever its access and range."""
-        self.put(self.registers.get(name) or self.model.register(name), value)
+        self.fill(self._cell(name), value)
 
     def put(self, register: Register, value: int) -> None:
         """Set a register to the nearest value that its bytes can hold."""
-        low, high = register.span
-        self._memory[register.address : register.address + register.size] = register.encode(min(max(value, low), high))
+        self.fill(self.cells[register.name], value)
+
+    def fill(self, cell: Cell, value: int) -> None:
+        """Set the bytes of a cell to a value."""
+        self._memory[cell.start : cell.end] = cell.bytes(value)
 
     def covers_indirect_data(self, address: int, length: int) -> bool:
         """Whether these bytes hold indirect data, which may stand for any register."""
-        return any(address < b.data + b.count and b.data < address + length for b in self.model.indirect)
+        for block in self.model.indirect:
+            if address < block.data + block.count and block.data < address + length:
+                return True
+        return False
 
     def read(self, address: int, length: int) -> bytes:
         """Bytes of the control table; gaps between registers read as zeros."""
@@ -108,11 +142,15 @@ class Table:
         if register.name == self.model.operating_mode_register and value not in self.model.operating_modes.values():
             raise Refused(Refusal.RANGE)
 
-    def power_up(self, keep: Sequence[str] | set[str]) -> None:
+    def power_up(self, keep: Sequence[str]) -> None:
         """All registers to their initial values, but for those to keep."""
         for register in self.registers.values():
             if register.name not in keep:
                 self.put(register, register.initial or 0)
+
+    def _cell(self, name: str) -> Cell:
+        cell = self.cells.get(name)
+        return cell or self.cells[self.model.register(name).name]  # which raises, with the names that there are
 
     def _target(self, address: int) -> int:
         """Where a byte of the table is: behind its indirect address if it is indirect data.
@@ -136,6 +174,12 @@ def _registers(model: ServoModel) -> tuple[Register, ...]:
         for k in range(block.count)
     ]
     return (*model.registers.values(), *indirect)
+
+
+@cache
+def _named(model: ServoModel) -> tuple[dict[str, Register], dict[str, Cell]]:
+    registers = {register.name: register for register in _registers(model)}
+    return registers, {name: Cell(register) for name, register in registers.items()}
 
 
 @cache

@@ -18,6 +18,7 @@ import serial
 from dynamixel_sdk import COMM_RX_CORRUPT, COMM_SUCCESS, PortHandler, Protocol1PacketHandler, Protocol2PacketHandler
 
 from drivers.errors import BusLost, NoPort
+from drivers.serial_ports import describe_holders, describe_ports, find_holders
 
 # s. What the SDK allows beside the wire time: two periods of a USB adapter's latency timer (16 ms) and 2 ms.
 REPLY_MARGIN_S = 0.034
@@ -148,11 +149,12 @@ def _why_not_open(path: str, baud: int, error: Exception) -> str:
     """A message that says what keeps the port from being opened."""
     number = getattr(error, "errno", None)
     if number == errno.ENOENT or not Path(path).exists():
-        return f"no port {path}; plug in the adapter, check 'port' in rig.toml (ls /dev/serial/by-id lists them)"
+        return f"no port {path}; check 'port' in rig.toml; {describe_ports()}"
     if number == errno.EACCES:
         return f"no permission for {path}; add yourself to its group (sudo usermod -aG dialout $USER), log in again"
     if number in (errno.EAGAIN, errno.EWOULDBLOCK, errno.EBUSY):
-        return f"{path} is held by another program; close it (fuser {path} names it)"
+        holders = describe_holders(find_holders(path))
+        return f"{path} is held by {holders or 'another program'}; close that first"
     if isinstance(error, ValueError):
         return f"{path} can't be set to {baud} baud: {error}; check 'baud' in rig.toml"
     return f"{path} can't be opened as a serial port: {error}"

@@ -294,7 +294,8 @@ def report(session: Path, *, commands: Path | None = None) -> Comparison:
     comparison, recording, tree, states = _compare(session, commands)
     viewing = _viewing_of_joints(load_session(session), comparison, tree)
     warnings = (*recording.notices, *tree.warnings, *_lag_warnings(comparison))
-    write_report(session / REPORT_FOLDER, comparison, tree, states, _facts(session, recording), viewing, warnings)
+    facts = _facts(session, recording) | ({"left alone": ", ".join(comparison.at_rest)} if comparison.at_rest else {})
+    write_report(session / REPORT_FOLDER, comparison, tree, states, facts, viewing, warnings)
     return comparison
 
 

@@ -47,6 +47,8 @@ TYPE_OF_UNIT = {"rad": "revolute", "m": "prismatic"}
 
 # A reference that ranges over less than this has not moved: neither correlation nor lag nor gain means anything.
 MIN_TRAVEL = {"rad": float(np.radians(0.5)), "m": 5e-4}
+# A servo that holds still reads back a few counts to either side (0.3 deg each on AX), or gives a little under load.
+REST_TRAVEL = {"rad": float(np.radians(2.0)), "m": 2e-3}
 # Dimensionless, see `_agreement`. Two unrelated signals of one spread have about 0.3; a gain of 0.5 has 0.67.
 MIN_AGREEMENT = 0.4
 # Farther than this many robust standard deviations from the usual difference, a servo is on its way to a command.
@@ -133,9 +135,10 @@ class Comparison:
     Attributes:
         joints: the matched ones.
         unmatched_fitted: names of fitted joints that follow no commanded one.
-        unmatched_commanded: names of commanded or measured joints that no fitted one follows, or that did not move.
+        unmatched_commanded: names of joints that moved, or should have, and no fitted one follows.
         clock_lag_s: the lag applied to commands and read-back because they have another clock [s]; None on one clock.
         clock_lag_std_s: its standard deviation [s].
+        at_rest: names of joints that were neither told to move nor moved (a gripper left alone): nothing is amiss.
     """
 
     joints: tuple[JointComparison, ...]
@@ -143,6 +146,7 @@ class Comparison:
     unmatched_commanded: tuple[str, ...] = ()
     clock_lag_s: float | None = None
     clock_lag_std_s: float | None = None
+    at_rest: tuple[str, ...] = ()
 
 
 # --- Which fitted joint is which commanded one -----------------------------------------------------------------------
@@ -346,12 +350,26 @@ def compare(
     lag_s = 0.0 if clock is None else clock[0]
     pairs = _match(told, [reference.delayed(lag_s) for reference in references])
     fitted, followed = {pair.fitted for pair in pairs}, {pair.reference.name for pair in pairs}
+    unfollowed = [reference for reference in references if reference.name not in followed]
+    at_rest = tuple(reference.name for reference in unfollowed if not _moved(reference, commanded, measured))
     return Comparison(
         tuple(_joint_comparison(pair, detected, types[pair.fitted], lag_s) for pair in pairs),
         tuple(name for name in detected.joints if name not in fitted),
-        tuple(reference.name for reference in references if reference.name not in followed),
+        tuple(reference.name for reference in unfollowed if reference.name not in at_rest),
         *(clock or (None, None)),
+        at_rest=at_rest,
     )
+
+
+def _moved(reference: _Reference, commanded: JointLog | None, measured: JointLog | None) -> bool:
+    """Whether a joint was told to move, or moved by more than one that holds still."""
+
+    def travel(log: JointLog | None) -> float:
+        states = log.state(reference.name) if log is not None and reference.name in log.joints else np.zeros(0)
+        known = states[np.isfinite(states)]
+        return float(np.ptp(known)) if len(known) else 0.0
+
+    return travel(commanded) >= MIN_TRAVEL[reference.unit] or travel(measured) >= REST_TRAVEL[reference.unit]
 
 
 def _with_one_state(detected: JointLog, types: Mapping[str, str]) -> JointLog:

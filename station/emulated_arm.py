@@ -18,6 +18,8 @@ from station.logs import FloatArray
 from station.mechanism import Weights, has_weight
 from station.rig_reading import joint_configs
 
+_STILL = 1e-3  # rad or m. At a lever of 1 m the weight's torque changes by a thousandth of itself.
+
 
 class EmulatedArm(EmulatedBus):
     """The emulated bus of a rig's servos, standing at the park pose, and the joints' true states behind it.
@@ -113,6 +115,7 @@ class _Load:
     def __init__(self, weights: Weights, states: Callable[[int], Mapping[str, float]]) -> None:
         self._weights, self._states = weights, states
         self._t_ns: int | None = None
+        self._q: Mapping[str, float] = {}
         self._torques: dict[str, float] = {}
 
     def on(self, joint: JointConfig, servo: ServoConfig) -> Callable[[int], float]:
@@ -122,10 +125,15 @@ class _Load:
         def load_nm(t_ns: int) -> float:
             if t_ns != self._t_ns:
                 self._t_ns = t_ns  # first: the states ask the other servos, and those for their load
-                self._torques = self._weights.torques(self._states(t_ns))
+                self._weigh(self._states(t_ns))
             return share * self._torques.get(joint.name, 0.0)
 
         return load_nm
+
+    def _weigh(self, q: Mapping[str, float]) -> None:
+        """Find the torques anew, unless the arm has hardly moved since: it takes milliseconds."""
+        if not self._q or any(abs(q[name] - self._q[name]) > _STILL for name in q):
+            self._q, self._torques = q, self._weights.torques(q)
 
 
 def _turn(servo: ServoConfig) -> int:

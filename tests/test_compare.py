@@ -191,13 +191,26 @@ def test_joints_that_always_move_together_are_told_apart_by_how_far():
     assert {j.joint: j.fitted_joint for j in comparison.joints} == {"small": "b__c", "large": "a__b"}
 
 
-def test_a_joint_that_did_not_move_matches_nothing_and_is_listed():
+def test_a_joint_that_is_left_alone_matches_nothing_and_is_listed_as_at_rest():
     log = readback()
-    still = JointLog(log.t_s, ("pan", "rest"), np.stack([log.state("pan"), 0 * log.t_s], -1), log.units)
+    count = np.radians(0.29) * (np.arange(len(log.t_s)) % 4)  # an AX servo that holds still, give or take some counts
+    still = JointLog(log.t_s, ("pan", "rest"), np.stack([log.state("pan"), count], -1), log.units)
     comparison = compare(detection(np.random.default_rng(6)), None, still)
     assert [j.joint for j in comparison.joints] == ["pan"]
-    assert comparison.unmatched_commanded == ("rest",)
+    assert comparison.at_rest == ("rest",) and comparison.unmatched_commanded == ()
     assert comparison.unmatched_fitted == ("b__c",)
+
+
+@pytest.mark.parametrize("which", ["commanded", "measured"])
+def test_a_joint_that_was_told_to_move_or_was_moved_by_hand_is_not_at_rest(which: str):
+    """Commanded, and the servo didn't follow; or turned by hand, and the camera didn't see it."""
+    still, moved = np.zeros((len(COMMAND_TIMES_S), 1)), COMMANDS_RAD[:, :1]
+    one, other = (JointLog(COMMAND_TIMES_S, ("gripper",), q, ("rad",)) for q in (moved, still))
+    logs = {"commanded": (one, other), "measured": (other, one)}[which]
+    t_s = np.arange(0.2, DURATION_S, 1 / FPS)
+    unrelated = JointLog(t_s, ("a__b",), np.sin(5 * t_s)[:, None], ("rad",))
+    comparison = compare(unrelated, *logs)
+    assert comparison.unmatched_commanded == ("gripper",) and comparison.at_rest == ()
 
 
 def test_a_slide_never_matches_a_hinge():

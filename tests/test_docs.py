@@ -2,13 +2,18 @@
 
 import ast
 import inspect
+import os
 import re
+import shlex
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import station
+from drivers.bus_faults import KINDS, REPLY_KINDS, parse_fault
 from station import cli
 from station.formats.camera import parse_camera
 from station.formats.motion import parse_motion
@@ -76,3 +81,50 @@ def test_the_choices_of_the_python_page_are_those_of_the_fit(keyword: str):
     with pytest.raises(station.StationError) as refused:
         station.fit(still, **{keyword: ("nonsense",) if keyword == "joint_types" else "nonsense"})
     assert sorted(shown) == sorted(str(refused.value).split(" of ")[-1].split(", "))
+
+
+SDK_TRIES = 5  # it waits 34 ms for a reply: on a machine with other work to do, that can be too short
+EMULATOR = (ROOT / "docs" / "emulator.md").read_text("utf-8")
+
+
+def test_the_fixture_of_the_emulators_page_runs_under_pytest(tmp_path: Path):
+    (code,) = re.findall(r"```python\n(.*?)```", EMULATOR, re.DOTALL)
+    (tmp_path / "test_mine.py").write_text(code, encoding="utf-8")
+    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-W", "error", "test_mine.py"]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    for _ in range(SDK_TRIES):
+        done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
+        if done.returncode == 0:
+            break
+    assert done.returncode == 0 and "1 passed" in done.stdout, done.stdout + done.stderr
+
+
+def test_the_shell_of_the_emulators_page_works(tmp_path: Path):
+    start, ask = re.findall(r"```sh\n(.*?)```", EMULATOR, re.DOTALL)
+    link = tmp_path / "ttyARM"
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    started = shlex.split(start.replace("/tmp/ttyARM", str(link)))
+    assert started[0] == "station"
+    command = [sys.executable, "-c", "from station.cli import main; main()", *started[1:]]
+    pipe = subprocess.PIPE
+    with subprocess.Popen(command, env=environment, stdout=pipe, stderr=pipe, text=True) as emulator:
+        assert emulator.stdout is not None and emulator.stdout.readline().strip() == str(link)
+        script = ask.replace("/tmp/ttyARM", str(link)).replace("python -c", f"{sys.executable} -c")
+        for _ in range(SDK_TRIES):
+            said = subprocess.run(
+                script, shell=True, env=environment, capture_output=True, text=True, check=True
+            ).stdout
+            if said == "(1020, 0, 0)\n":
+                break
+        emulator.terminate()
+        emulator.communicate(timeout=60)
+    assert said == "(1020, 0, 0)\n"
+
+
+def test_the_table_of_faults_is_that_of_the_code():
+    rows = re.findall(r"^\| `(\w+)` \| (.*?) ?\| (.*?) \|$", EMULATOR, re.MULTILINE)
+    shown = {kind: (value, text) for kind, value, text in rows if kind in KINDS}
+    assert shown == {kind: (about.value, about.text) for kind, about in KINDS.items()}
+    assert list(shown) == list(KINDS) and list(KINDS)[:10] == list(REPLY_KINDS)
+    for spec in re.findall(r'`([a-z_]+:[\d,]+@[^`\s]*)`|"([a-z_]+:\d+@[^"\s]*)"', EMULATOR):
+        parse_fault("".join(spec))

@@ -16,12 +16,22 @@ from station.stage import Stage, facing, look_at, mechanism
 DEMO = packaged("rigs", "demo").read_text(encoding="utf-8")
 
 
+JOINTS_OF_PACKAGED_RIGS = {
+    "crustcrawler_ax18a": 5,
+    "demo": 4,
+    "koch_v1_1": 6,
+    "openmanipulator_x": 5,
+    "vx300s": 7,
+    "wx250s": 7,
+}
+
+
 def test_packaged_rigs_are_read_with_their_calibration():
-    assert packaged_names("rigs") == ["demo", "openmanipulator_x"]
-    for name in packaged_names("rigs"):
+    assert packaged_names("rigs") == list(JOINTS_OF_PACKAGED_RIGS)
+    for name, joints in JOINTS_OF_PACKAGED_RIGS.items():
         rig = load_rig(name)
-        assert rig.camera_model.size_px == (640, 480)
-        assert len(rig.table.joint) == 4
+        assert list(rig.camera_model.size_px) == rig.table.camera.size_px
+        assert len(rig.table.joint) == joints
 
 
 @pytest.mark.parametrize(

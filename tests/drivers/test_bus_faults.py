@@ -117,6 +117,13 @@ def test_one_fault_more_does_not_change_what_the_others_draw() -> None:
     assert 30 < sum(alone) < 90  # 60 expected, six standard deviations about
 
 
+def test_two_faults_alike_do_not_strike_alike() -> None:
+    models = {1: load_model("AX-18A"), 2: load_model("AX-18A")}
+    schedule = FaultSchedule([parse_fault("mute:1%0.5"), parse_fault("mute:2%0.5")], models, seed=5, start_ns=0)
+    struck = [(schedule.mutes(1, 0), schedule.mutes(2, 0)) for _ in range(100)]
+    assert 20 < sum(first == second for first, second in struck) < 80
+
+
 def test_two_senders_pull_the_line_low_together() -> None:
     assert wired_and(b"\xf0\x3c", b"\xf0\x3c", 0) == b"\xf0\x3c"
     assert wired_and(b"\xf0", b"\x3c", 0) == b"\x30"

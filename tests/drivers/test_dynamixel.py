@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 import threading
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
@@ -283,8 +285,27 @@ def test_a_file_is_no_port(tmp_path: object) -> None:
 def test_a_port_is_held_by_one_program() -> None:
     with station("AX-18A", 1.0) as (bus, _):
         other = DynamixelBus(bus.path, baud=1_000_000, protocol=1.0, clock=VirtualClock())
-        with pytest.raises(BusLost, match="held by another program"):
+        with pytest.raises(BusLost, match="is held by another program; close that first"):
             other.open()
+
+
+def test_the_program_that_holds_a_port_is_named() -> None:
+    program = """if True:
+        import sys, serial
+        port = serial.Serial(sys.argv[1], exclusive=True)
+        print("open", flush=True)
+        sys.stdin.readline()
+    """
+    with EmulatedBus([EmulatedServo(1, "AX-18A")], clock=VirtualClock()) as emulated:
+        command = [sys.executable, "-c", program, emulated.path]
+        with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as holder:
+            assert holder.stdout is not None and holder.stdout.readline() == "open\n"
+            bus = DynamixelBus(emulated.path, baud=1_000_000, protocol=1.0, clock=VirtualClock())
+            with pytest.raises(BusLost, match=rf"is held by pid {holder.pid} \(.*python"):
+                bus.open()
+            holder.communicate("\n")
+        bus.open()
+        bus.close()
 
 
 def test_two_threads_share_the_bus() -> None:

@@ -58,7 +58,7 @@ def test_a_fast_bulk_read_is_answered_as_the_manual_prints_it() -> None:
 
 def test_a_fast_read_breaks_off_at_a_missing_servo() -> None:
     with clients([at_count(3, 166), at_count(4, 1023)], 2.0) as (line,):
-        answer = line.raw(BROADCAST, 0x8A, "84 00 04 00 03 07 04")
+        answer = line.raw(BROADCAST, 0x8A, "84 00 04 00 03 07 04", size=16)
         assert answer == bytes.fromhex("FF FF FD 00 FE 19 00 55 00 03 A6 00 00 00 84 08")
         line.reader.clear()
         assert line.ask(4, Instruction.PING)[0].servo_id == 4
@@ -110,7 +110,7 @@ def test_servos_of_both_protocols_share_a_wire() -> None:
         for _ in range(3):
             assert [ax.ask(id, Instruction.PING) for id in (1, 3)] == [[(1, 0, b"")], [(3, 0, b"")]]
             assert [status.servo_id for status in x.ask(BROADCAST, Instruction.PING, replies=2)] == [2, 4]
-            assert ax.ask(2, Instruction.PING, replies=0) == x.ask(1, Instruction.PING, replies=0) == []
+            assert ax.hears_nothing(2, Instruction.PING) and x.hears_nothing(1, Instruction.PING)
             assert x.ask(2, Instruction.READ, "84 00 04 00") == [(2, 0, b"\x00\x08\x00\x00")]
             assert ax.ask(1, Instruction.READ, "24 02") == [(1, 0, b"\x00\x02")]
 
@@ -128,8 +128,8 @@ def test_each_servo_has_its_own_baud() -> None:
     with EmulatedBus(servos, clock=VirtualClock()) as bus:
         line = Line(bus, 2.0, 57_600)
         assert line.ask(2, Instruction.PING)[0].servo_id == 2
-        line.protocol = 1.0
-        assert line.ask(1, Instruction.PING, replies=0) == []
+        line.speak(1.0)
+        assert line.hears_nothing(1, Instruction.PING)
         line.close()
         line = Line(bus, 1.0, 1_000_000)
         assert line.ask(1, Instruction.PING)[0].servo_id == 1
@@ -148,6 +148,9 @@ def test_a_secondary_id_is_obeyed_without_a_word() -> None:
         ok = line.raw(2, Instruction.WRITE, "41 00 01")
         assert len(ok) == 11 and ok[4] == 2  # one status packet, of the leader
         assert line.ask(3, Instruction.READ, "41 00 01 00") == [(3, 0, b"\x01")]
+        # e-manual, Secondary ID: the EEPROM area can't be changed by it
+        line.ask(2, Instruction.WRITE, "09 00 11")
+        assert line.ask(3, Instruction.READ, "09 00 01 00") == [(3, 0, b"\xfa")]
 
 
 @pytest.mark.parametrize(

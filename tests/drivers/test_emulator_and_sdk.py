@@ -11,6 +11,7 @@ import pytest
 from drivers.clock import VirtualClock
 from drivers.emulated_bus import EmulatedBus
 from drivers.emulated_servo import EmulatedServo
+from tests.drivers.line import PatientPort
 
 X = (("XL430-W250", 2), ("XM540-W270", 4), ("XC330-T288", 5))
 COUNTS = {2: 166, 4: 2079, 5: 1023}
@@ -22,7 +23,7 @@ def port() -> Iterator[sdk.PortHandler]:
     servos = [EmulatedServo(id, model, initial_count=COUNTS[id]) for model, id in X]
     servos += [EmulatedServo(1, "AX-12A", initial_count=300), EmulatedServo(3, "MX-28", initial_count=4000)]
     with EmulatedBus(servos, baud=1_000_000, clock=VirtualClock()) as bus:
-        handler = sdk.PortHandler(bus.path)
+        handler = PatientPort(bus.path)
         assert handler.openPort()
         try:
             yield handler
@@ -82,7 +83,7 @@ def test_a_fast_read_has_no_byte_stuffing() -> None:
     servo = EmulatedServo(1, model)
     servo.set("goal_position", int.from_bytes(b"\xff\xff\xfd\x00", "little"))
     with EmulatedBus([servo], baud=1_000_000, clock=VirtualClock()) as bus:
-        handler = sdk.PortHandler(bus.path)
+        handler = PatientPort(bus.path)
         assert handler.openPort()
         group = sdk.GroupSyncRead(handler, sdk.PacketHandler(2.0), 116, 4)
         group.addParam(1)
