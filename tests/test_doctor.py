@@ -26,7 +26,7 @@ from station.doctor.fixes import FIXES
 from station.doctor.port import UDEV_RULE, System, check_port
 from station.errors import StationError
 from station.formats.rig import RigTable, parse_rig
-from station.rig import packaged
+from station.rig import packaged, packaged_names
 
 LATENCY_S = 0.03  # replies are waited for four times as long
 RIG = """
@@ -480,7 +480,7 @@ def test_the_disk_is_held_against_a_minute_of_capture(tmp_path: Path, free_minut
     assert check_disk(tmp_path, round(free_minutes * minute_bytes), 80e3, 30.0).verdict is verdict
 
 
-@pytest.mark.parametrize("rig", ["demo", "openmanipulator_x"])
+@pytest.mark.parametrize("rig", packaged_names("rigs"))
 def test_packaged_rigs_pass_on_emulated_bus_and_rendered_camera(rig: str):
     checkup = examine(rig)
     assert checkup.passed

@@ -136,15 +136,14 @@ class _Bench:
         camera, why_not = self._camera(calibration)
         if camera is None:
             return cameras.Watched([why_not], None)
-        findings: list[Finding] = []
-        source = "at arrival, before decoding"
-        if self._rendered:
-            source = "at arrival, by the simulation's clock"
-        elif not (isinstance(settings.source, str) and Path(settings.source).is_file()):
-            findings.append(cameras.check_exposure(read_exposure_lock(settings.source), settings.source))
-        findings.append(cameras.check_stamps(source, settings.latency_s))
         watched = cameras.watch_camera(camera, self._clock, fps=settings.fps)
-        return cameras.Watched(watched.findings + findings, watched.image)
+        findings = [*watched.findings]
+        is_file = isinstance(settings.source, str) and Path(settings.source).is_file()
+        if not self._rendered and not is_file and watched.image is not None:
+            findings.append(cameras.check_exposure(read_exposure_lock(settings.source), settings.source))
+        by = "at arrival, by the simulation's clock" if self._rendered else "at arrival, before decoding"
+        findings.append(cameras.check_stamps(by, settings.latency_s))
+        return cameras.Watched(findings, watched.image)
 
     def _camera(self, calibration: CameraModel | None) -> tuple[Camera | None, Finding]:
         table, simulation = self._table, self._table.simulation
