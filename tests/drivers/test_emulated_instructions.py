@@ -185,3 +185,22 @@ def test_two_servos_that_got_one_id_talk_at_once() -> None:
 def test_a_model_that_does_not_speak_the_protocol_is_refused() -> None:
     with pytest.raises(DriverError, match=r"AX-12A speaks protocol 1\.0"):
         EmulatedServo(1, "AX-12A", protocol=2.0)
+
+
+def test_clear_forgets_whole_turns_of_a_shaft_at_rest() -> None:
+    clock = VirtualClock()
+    with EmulatedBus([EmulatedServo(1, "XC330-T288")], baud=1_000_000, clock=clock) as bus:
+        line = Line(bus, 2.0)
+        line.ask(1, Instruction.WRITE, "0B 00 04")  # extended position
+        line.ask(1, Instruction.WRITE, "40 00 01")
+        line.ask(1, Instruction.WRITE, "74 00 88 13 00 00")  # goal 5000
+        clock.sleep_until_ns(200_000_000)
+        assert line.ask(1, Instruction.CLEAR, "01 44 58 4C 22") == [(1, 1, b"")]  # it moves: Result Fail
+        clock.sleep_until_ns(5_000_000_000)
+        assert line.ask(1, Instruction.READ, "84 00 04 00")[0].parameters == (5000).to_bytes(4, "little")
+        before_rad = bus.shaft_rad(1, clock.now_ns())
+        assert line.ask(1, Instruction.CLEAR, "01 44 58 4C 22") == [(1, 0, b"")]
+        clock.sleep_until_ns(6_000_000_000)
+        assert line.ask(1, Instruction.READ, "84 00 04 00")[0].parameters == (5000 - 4096).to_bytes(4, "little")
+        assert bus.shaft_rad(1, clock.now_ns()) == pytest.approx(before_rad, abs=1e-3)  # nothing moved
+        line.close()
