@@ -252,7 +252,7 @@ class Line:
         """The status packet of this servo and size; echoes, and packets of others and late ones, are passed over.
 
         Args:
-            in_turn: nothing else may come before it.
+            in_turn: nothing else may come before it, not even a byte: it may be what is left of the true reply.
             ping: in protocol 1.0 an alarm of the voltage answers a ping with the very bytes of the ping: what looks
                 like an echo counts then if nothing else comes.
         """
@@ -260,7 +260,7 @@ class Line:
         while True:
             status, result = self._receive()
             if result == COMM_SUCCESS and status is not None:
-                fits = status.servo_id == servo_id and self._expected(status, size)
+                fits = status.servo_id == servo_id and self._expected(status, size) and (status.alone or not in_turn)
                 if fits and not status.echo:
                     return self._noted(status)
                 self.counts["echoes" if status.echo else "unexpected"] += 1

@@ -33,12 +33,14 @@ class Status:
 
     Attributes:
         echo: whether it is, byte for byte, what was sent last: in protocol 1.0 instructions look like status packets.
+        alone: whether it was received without a byte that belongs to no packet before it.
     """
 
     servo_id: int
     error: int
     parameters: bytes
     echo: bool = False
+    alone: bool = True
 
 
 class FencedPort(PortHandler):
@@ -54,6 +56,7 @@ class FencedPort(PortHandler):
         self._deadline_s = 0.0
         self._expired = True
         self.stale_bytes = 0  # bytes that came when none were expected
+        self.taken_bytes = 0  # that the SDK has taken off the line
 
     # The names of the methods, and that they aren't snake_case, are the SDK's.
     def getCFlagBaud(self, baudrate: int) -> int:
@@ -107,6 +110,7 @@ class FencedPort(PortHandler):
             self._receive()
         chunk = bytes(self._received[:length])
         del self._received[:length]
+        self.taken_bytes += len(chunk)
         return chunk
 
     def setPacketTimeout(self, packet_length: int) -> None:
@@ -165,17 +169,21 @@ class FencedProtocol1(Protocol1PacketHandler):
 
     def receive(self, port: FencedPort) -> tuple[Status | None, int]:
         """The next status packet and the SDK's result code; None where the code is none of success."""
+        before = port.taken_bytes
         packet, result = cast("tuple[list[int], int]", self.rxPacket(port))
         if result != COMM_SUCCESS:
             return None, result
         if packet[3] < 2:  # LENGTH counts error and checksum
             return None, COMM_RX_CORRUPT
         parameters = bytes(packet[5 : packet[3] + 3])
-        return Status(packet[2], packet[4], parameters, echo=bytes(packet) == port.sent), result
+        alone = port.taken_bytes - before == packet[3] + 4
+        return Status(packet[2], packet[4], parameters, bytes(packet) == port.sent, alone), result
 
 
 class FencedProtocol2(Protocol2PacketHandler):
     """The SDK's protocol 2.0 with byte stuffing that works both ways and whole status packets."""
+
+    _wire_bytes = 0  # of the packet that was received last, stuffed
 
     def addStuffing(self, packet: list[int]) -> list[int]:
         """Stuff the packet in place: the SDK's caller ignores what is returned, so that it sends FF FF FD raw."""
@@ -188,6 +196,7 @@ class FencedProtocol2(Protocol2PacketHandler):
     def removeStuffing(self, packet: list[int]) -> list[int]:
         """Undo stuffing: the SDK's own looks back at bytes that it has moved already, and loses some."""
         end = 5 + packet[5] + 256 * packet[6]
+        self._wire_bytes = end + 2
         body = bytes(packet[7:end]).replace(b"\xff\xff\xfd\xfd", b"\xff\xff\xfd")
         packet[5:7] = (len(body) + 2).to_bytes(2, "little")
         packet[7:] = [*body, *packet[end : end + 2]]
@@ -195,13 +204,15 @@ class FencedProtocol2(Protocol2PacketHandler):
 
     def receive(self, port: FencedPort) -> tuple[Status | None, int]:
         """The next status packet and the SDK's result code; None where the code is none of success."""
+        before = port.taken_bytes
         packet, result = cast("tuple[list[int], int]", self.rxPacket(port, False))
         if result != COMM_SUCCESS:
             return None, result
         length = packet[5] + 256 * packet[6]
         if length < 4:  # instruction, error, checksum
             return None, COMM_RX_CORRUPT
-        return Status(packet[4], packet[8], bytes(packet[9 : 5 + length])), result
+        alone = port.taken_bytes - before == self._wire_bytes
+        return Status(packet[4], packet[8], bytes(packet[9 : 5 + length]), alone=alone), result
 
 
 def make_handler(protocol: float) -> Any:

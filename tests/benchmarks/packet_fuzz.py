@@ -116,6 +116,7 @@ class TimedBytes:
         self._reads_left = READS_PER_BYTE * len(data) + FEW_READS
         self.is_using = False
         self.sent = b""  # nothing that could come back as an echo
+        self.taken_bytes = 0
 
     # The names of the methods are the SDK's.
     def readPort(self, length: int) -> bytes:
@@ -124,6 +125,7 @@ class TimedBytes:
             raise Hang
         chunk = self._data[self._at : self._at + min(self._piece, max(0, length))]
         self._at += len(chunk)
+        self.taken_bytes += len(chunk)
         return chunk
 
     def isPacketTimeout(self) -> bool:

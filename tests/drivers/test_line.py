@@ -76,6 +76,28 @@ def test_a_servo_that_answers_in_anothers_place_is_not_believed() -> None:
         assert bus.errors["fallbacks"] == 1
 
 
+@pytest.mark.parametrize(("model", "protocol"), [("MX-28", 1.0), ("XM430-W350", 2.0)])
+def test_a_groups_replies_count_only_if_nothing_is_between_them(model: str, protocol: float) -> None:
+    """Of servo 2's reply one byte is left, then comes a whole one that has its id: both servos seem to have answered."""
+    armed = [False]
+
+    def spoil(servo_id: int, reply: bytes) -> Iterable[tuple[int, bytes]]:
+        if not armed[0] or servo_id == 1:
+            return ((0, reply),)
+        if servo_id == 2:
+            return ((0, reply[:1]),)
+        armed[0] = False
+        return ((0, encode_status(2, 0, b"\x11\x01", protocol)), (0, reply))
+
+    register = "goal_position" if protocol == 1.0 else "present_input_voltage"
+    with station(model, protocol, timeout_s=QUICK_S, alter_reply=spoil) as (bus, _):
+        want = {id: bus.read(id, register) for id in (1, 2, 3)}
+        armed[0] = True
+        readings = bus.read_many([1, 2, 3], register)
+        assert {id: reading.value for id, reading in readings.items()} == want
+        assert bus.errors["fallbacks"] == 1
+
+
 @pytest.mark.parametrize(("model", "protocol"), [("AX-18A", 1.0), ("MX-28", 1.0), ("XM430-W350", 2.0), ("XL-320", 2.0)])
 def test_a_block_is_what_its_registers_read(model: str, protocol: float) -> None:
     with station(model, protocol) as (bus, _):
