@@ -10,7 +10,7 @@ import os
 import select
 import termios
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal, cast
 
@@ -39,8 +39,8 @@ class Status:
     servo_id: int
     error: int
     parameters: bytes
-    echo: bool = False
-    alone: bool = True
+    echo: bool = field(default=False, compare=False)
+    alone: bool = field(default=True, compare=False)
 
 
 class FencedPort(PortHandler):
