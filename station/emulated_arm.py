@@ -7,10 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
-from drivers.bus_faults import Fault, parse_fault
 from drivers.clock import Clock
-from drivers.emulated_bus import EmulatedBus
-from drivers.emulated_servo import DEFAULT_ACCELERATION_RAD_S2, EmulatedServo
+from drivers.emulator import EmulatedBus, EmulatedServo, Fault, parse_fault
+from drivers.emulator.servo import DEFAULT_ACCELERATION_RAD_S2
 from drivers.joints import JointConfig, ServoConfig
 from station.formats.rig import RigTable
 from station.formats.simulation import SimulationTable

@@ -6,8 +6,8 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
-from drivers.bus_faults import parse_fault
 from drivers.clock import MonotonicClock
+from drivers.emulator import parse_fault
 from drivers.errors import DriverError
 from station.emulated_arm import EmulatedArm
 from station.errors import InvalidData

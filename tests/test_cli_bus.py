@@ -17,8 +17,7 @@ import pytest
 
 from drivers.clock import MonotonicClock, VirtualClock
 from drivers.dynamixel import DynamixelBus
-from drivers.emulated_bus import EmulatedBus
-from drivers.emulated_servo import EmulatedServo
+from drivers.emulator import EmulatedBus, EmulatedServo
 from station import cli
 from station.doctor.scanning import choose_settings, parse_ids
 from station.errors import StationError

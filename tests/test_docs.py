@@ -13,7 +13,8 @@ import numpy as np
 import pytest
 
 import station
-from drivers.bus_faults import KINDS, REPLY_KINDS, parse_fault
+from drivers.emulator import parse_fault
+from drivers.emulator.faults import KINDS, REPLY_KINDS
 from station import cli
 from station.formats.camera import parse_camera
 from station.formats.motion import parse_motion

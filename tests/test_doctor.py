@@ -12,8 +12,8 @@ import pytest
 
 from drivers.camera import Frame
 from drivers.clock import Clock, VirtualClock
-from drivers.emulated_bus import AlterReply, EmulatedBus
-from drivers.emulated_servo import EmulatedServo
+from drivers.emulator import EmulatedBus, EmulatedServo
+from drivers.emulator.bus import AlterReply
 from drivers.errors import NoCamera
 from drivers.rendered_camera import RenderedCamera
 from drivers.serial_ports import User

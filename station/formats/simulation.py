@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field, field_validator, model_validator
 
-from drivers.bus_faults import parse_fault
+from drivers.emulator import parse_fault
 from drivers.errors import DriverError
 from station.formats.toml_models import StrictModel
 from station.logs import FloatArray

@@ -18,8 +18,7 @@ import numpy as np
 from drivers.arm import Arm
 from drivers.clock import MonotonicClock
 from drivers.dynamixel import DynamixelBus
-from drivers.emulated_bus import EmulatedBus
-from drivers.emulated_servo import EmulatedServo
+from drivers.emulator import EmulatedBus, EmulatedServo
 from drivers.joints import JointConfig, ServoConfig
 from drivers.safety import SafetyLimits
 

@@ -17,11 +17,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from drivers.bus_faults import Fault
 from drivers.clock import MonotonicClock
 from drivers.dynamixel import DynamixelBus
-from drivers.emulated_bus import EmulatedBus
-from drivers.emulated_servo import EmulatedServo
+from drivers.emulator import EmulatedBus, EmulatedServo, Fault
 from drivers.errors import CorruptReply, NoReply
 from tests.conftest import open_files
 

@@ -7,7 +7,7 @@ import select
 import dynamixel_sdk as sdk
 import serial
 
-from drivers.emulated_bus import EmulatedBus
+from drivers.emulator import EmulatedBus
 from drivers.packets import FrameReader, Status, encode_instruction, read_status
 
 SILENCE_S = 0.05  # how long a reply is waited for that must not come

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from drivers.emulated_servo import EmulatedServo
+from drivers.emulator import EmulatedServo
 
 S = 1_000_000_000
 MS = 1_000_000

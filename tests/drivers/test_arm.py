@@ -13,8 +13,8 @@ import pytest
 from drivers.arm import Arm
 from drivers.clock import VirtualClock
 from drivers.dynamixel import DynamixelBus
-from drivers.emulated_bus import AlterReply, EmulatedBus
-from drivers.emulated_servo import EmulatedServo
+from drivers.emulator import EmulatedBus, EmulatedServo
+from drivers.emulator.bus import AlterReply
 from drivers.errors import ArmFault, BusLost, DriverError, NoReply, ServoFault, WrongModel
 from drivers.joints import JointConfig, ServoConfig
 from drivers.packets import FrameReader, Instruction

@@ -8,9 +8,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.bus_faults import KINDS, Fault, format_fault, parse_fault
+from drivers.emulator import Fault, format_fault, parse_fault
+from drivers.emulator.fault_schedule import FaultSchedule, wired_and
+from drivers.emulator.faults import KINDS
 from drivers.errors import DriverError
-from drivers.fault_schedule import FaultSchedule, wired_and
 from drivers.servo_models import load_model
 
 FINITE = st.floats(allow_nan=False, allow_infinity=False)

@@ -13,8 +13,8 @@ import pytest
 
 from drivers.clock import Clock, MonotonicClock, VirtualClock
 from drivers.dynamixel import DynamixelBus
-from drivers.emulated_bus import AlterReply, EmulatedBus
-from drivers.emulated_servo import EmulatedServo
+from drivers.emulator import EmulatedBus, EmulatedServo
+from drivers.emulator.bus import AlterReply
 from drivers.errors import BusLost, DriverError, NoReply, ServoFault
 from drivers.packets import encode_status
 

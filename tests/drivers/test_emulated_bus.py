@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 from drivers.clock import Clock, VirtualClock
-from drivers.emulated_bus import AlterReply, EmulatedBus
-from drivers.emulated_servo import EmulatedServo
+from drivers.emulator import EmulatedBus, EmulatedServo
+from drivers.emulator.bus import AlterReply
 from drivers.errors import DriverError
 from drivers.packets import BROADCAST, Instruction, encode_instruction
 from tests.drivers.line import Line

@@ -10,12 +10,11 @@ from pathlib import Path
 import pytest
 import serial
 
-from drivers.bus_faults import KINDS, parse_fault
 from drivers.clock import MonotonicClock, VirtualClock
 from drivers.dynamixel import DynamixelBus
-from drivers.emulated_bus import EmulatedBus
-from drivers.emulated_servo import EmulatedServo
-from drivers.emulated_wire import Wire
+from drivers.emulator import EmulatedBus, EmulatedServo, parse_fault
+from drivers.emulator.faults import KINDS
+from drivers.emulator.wire import Wire
 from drivers.errors import BusLost, NoReply, ServoFault
 from drivers.packets import FrameReader, Instruction, encode_instruction, read_status
 from tests.drivers.line import Line

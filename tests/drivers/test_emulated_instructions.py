@@ -8,8 +8,7 @@ from contextlib import contextmanager
 import pytest
 
 from drivers.clock import VirtualClock
-from drivers.emulated_bus import EmulatedBus
-from drivers.emulated_servo import EmulatedServo
+from drivers.emulator import EmulatedBus, EmulatedServo
 from drivers.errors import DriverError
 from drivers.packets import BROADCAST, Instruction, encode_instruction
 from tests.drivers.line import Line

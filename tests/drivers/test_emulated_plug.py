@@ -10,8 +10,7 @@ import pytest
 
 from drivers.clock import MonotonicClock, VirtualClock
 from drivers.dynamixel import DynamixelBus
-from drivers.emulated_bus import EmulatedBus
-from drivers.emulated_servo import EmulatedServo
+from drivers.emulator import EmulatedBus, EmulatedServo
 from drivers.errors import BusLost, DriverError, NoPort
 from drivers.packets import Instruction
 from tests.drivers.line import Line

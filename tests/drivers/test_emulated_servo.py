@@ -9,8 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.emulated_servo import EmulatedServo, Refusal, Refused
-from drivers.emulated_shaft import Shaft
+from drivers.emulator import EmulatedServo
+from drivers.emulator.servo import Refusal, Refused
+from drivers.emulator.shaft import Shaft
 from drivers.errors import DriverError
 from drivers.servo_models import MODELS, load_model
 

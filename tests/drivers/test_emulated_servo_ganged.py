@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from drivers.emulated_servo import EmulatedServo, Refusal, Refused
+from drivers.emulator import EmulatedServo
+from drivers.emulator.servo import Refusal, Refused
 from drivers.errors import DriverError
 from drivers.servo_models import MODELS, load_model
 from tests.drivers.servo_access import MS, S, alarms, read, write

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from drivers.emulated_servo import EmulatedServo
+from drivers.emulator import EmulatedServo
 from drivers.errors import DriverError
 from drivers.servo_models import load_model
 from tests.drivers.servo_access import MS, RPM, S, alarms, physical, read, write

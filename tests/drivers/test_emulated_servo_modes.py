@@ -6,8 +6,9 @@ import math
 
 import pytest
 
-from drivers.emulated_servo import EmulatedServo, Refusal, Refused
-from drivers.emulated_shaft import limits_for_duration, plan_motion
+from drivers.emulator import EmulatedServo
+from drivers.emulator.servo import Refusal, Refused
+from drivers.emulator.shaft import limits_for_duration, plan_motion
 from drivers.errors import DriverError
 from tests.drivers.servo_access import MS, RPM, TURN, S, physical, read, write
 

@@ -10,7 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.emulated_servo import EmulatedServo, Refused
+from drivers.emulator import EmulatedServo
+from drivers.emulator.servo import Refused
 from drivers.servo_models import MODELS, load_model
 from tests.drivers.servo_access import MS, S, read, write
 

@@ -6,8 +6,9 @@ import math
 
 import pytest
 
-from drivers.emulated_heat import FULL_LOAD_RISE_C, TIME_CONSTANT_S
-from drivers.emulated_servo import EmulatedServo, Refusal, Refused
+from drivers.emulator import EmulatedServo
+from drivers.emulator.heat import FULL_LOAD_RISE_C, TIME_CONSTANT_S
+from drivers.emulator.servo import Refusal, Refused
 from drivers.errors import DriverError
 from drivers.servo_models import MODELS
 from tests.drivers.servo_access import MS, S, alarms, read, write

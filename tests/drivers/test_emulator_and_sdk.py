@@ -9,8 +9,7 @@ import dynamixel_sdk as sdk
 import pytest
 
 from drivers.clock import VirtualClock
-from drivers.emulated_bus import EmulatedBus
-from drivers.emulated_servo import EmulatedServo
+from drivers.emulator import EmulatedBus, EmulatedServo
 from tests.drivers.line import PatientPort
 
 X = (("XL430-W250", 2), ("XM540-W270", 4), ("XC330-T288", 5))

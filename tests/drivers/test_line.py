@@ -78,7 +78,7 @@ def test_a_servo_that_answers_in_anothers_place_is_not_believed() -> None:
 
 @pytest.mark.parametrize(("model", "protocol"), [("MX-28", 1.0), ("XM430-W350", 2.0)])
 def test_a_groups_replies_count_only_if_nothing_is_between_them(model: str, protocol: float) -> None:
-    """Of servo 2's reply one byte is left, then comes a whole one that has its id: both servos seem to have answered."""
+    """Of servo 2's reply one byte is left, then a whole one under its id follows: both servos seem to have answered."""
     armed = [False]
 
     def spoil(servo_id: int, reply: bytes) -> Iterable[tuple[int, bytes]]:

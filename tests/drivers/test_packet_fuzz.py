@@ -14,8 +14,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from drivers.clock import VirtualClock
-from drivers.emulated_bus import PACKET_TIMEOUT_S, EmulatedBus
-from drivers.emulated_servo import EmulatedServo
+from drivers.emulator import EmulatedBus, EmulatedServo
+from drivers.emulator.bus import PACKET_TIMEOUT_S
 from drivers.packets import BROADCAST, FrameReader, Instruction, encode, encode_instruction, encode_status, read_status
 from drivers.sdk_fence import Status, make_handler
 from tests.benchmarks import packet_fuzz

@@ -10,8 +10,7 @@ from typing import Any
 import pytest
 
 from drivers.clock import VirtualClock
-from drivers.emulated_bus import EmulatedBus
-from drivers.emulated_servo import EmulatedServo
+from drivers.emulator import EmulatedBus, EmulatedServo
 from drivers.servo_models import load_model
 
 rustypot = pytest.importorskip("rustypot")

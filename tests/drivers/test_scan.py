@@ -9,8 +9,8 @@ import pytest
 
 from drivers.clock import VirtualClock
 from drivers.dynamixel import DynamixelBus
-from drivers.emulated_bus import AlterReply, EmulatedBus
-from drivers.emulated_servo import EmulatedServo
+from drivers.emulator import EmulatedBus, EmulatedServo
+from drivers.emulator.bus import AlterReply
 from drivers.errors import BusLost, NoPort
 from drivers.probe import Probe, Setting
 from drivers.scan import ALL_IDS, FACTORY_BAUDS, Found, Skipped, Step, known_settings, scan

@@ -19,8 +19,8 @@ import pytest
 
 from drivers.clock import MonotonicClock, VirtualClock
 from drivers.dynamixel import DynamixelBus
-from drivers.emulated_bus import AlterReply, EmulatedBus
-from drivers.emulated_servo import EmulatedServo
+from drivers.emulator import EmulatedBus, EmulatedServo
+from drivers.emulator.bus import AlterReply
 from drivers.errors import BusLost, CorruptReply, DriverError, NoReply, ServoFault
 from drivers.packets import Instruction, encode_instruction, encode_status
 from drivers.sdk_fence import FencedPort, FencedProtocol2

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from drivers.emulated_table import Table
+from drivers.emulator.table import Table
 
 OVERLOAD_NS = 1_000_000_000  # a guess: how long full output lasts until it is an overload; the manuals don't tell
 WATCHDOG_NS = 20_000_000  # X-series manual, Bus Watchdog (98): a unit

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from contextlib import suppress
 
-from drivers.emulated_servo import EmulatedServo
-from drivers.emulated_table import Refusal, Refused
+from drivers.emulator.servo import EmulatedServo
+from drivers.emulator.table import Refusal, Refused
 from drivers.packets import Instruction
 
 # Error byte of the status packet (e-manual, Status Packet, Error).

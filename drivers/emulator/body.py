@@ -12,7 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from enum import Enum
 
-from drivers.emulated_shaft import BEGINNING_NS, HISTORY_NS, Shaft
+from drivers.emulator.shaft import BEGINNING_NS, HISTORY_NS, Shaft
 from drivers.errors import DriverError
 
 STEP_NS = 10_000_000  # under load the state is settled at the multiples of this time; the load is held in between

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import TypeVar
 
-from drivers.bus_faults import FaultValue
-from drivers.emulated_servo import EmulatedServo
-from drivers.fault_schedule import Change
+from drivers.emulator.fault_schedule import Change
+from drivers.emulator.faults import FaultValue
+from drivers.emulator.servo import EmulatedServo
 
 Member = TypeVar("Member")
 

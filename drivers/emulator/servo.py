@@ -7,15 +7,15 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
-from drivers.emulated_body import STEP_NS, Body
-from drivers.emulated_heat import Heat
-from drivers.emulated_modes import Mode, bit, frame_of, mode_of
-from drivers.emulated_present import Present
-from drivers.emulated_protection import NEVER_NS, Protection
-from drivers.emulated_shaft import BEGINNING_NS
-from drivers.emulated_startup import configure, enter_mode, one_turn, power_up
-from drivers.emulated_steering import Steering
-from drivers.emulated_table import Refusal, Refused, Table
+from drivers.emulator.body import STEP_NS, Body
+from drivers.emulator.heat import Heat
+from drivers.emulator.modes import Mode, bit, frame_of, mode_of
+from drivers.emulator.present import Present
+from drivers.emulator.protection import NEVER_NS, Protection
+from drivers.emulator.shaft import BEGINNING_NS
+from drivers.emulator.startup import configure, enter_mode, one_turn, power_up
+from drivers.emulator.steering import Steering
+from drivers.emulator.table import Refusal, Refused, Table
 from drivers.errors import DriverError
 from drivers.servo_models import Register, ServoModel, load_model
 

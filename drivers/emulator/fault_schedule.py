@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drivers.bus_faults import NOISE_BYTES, REPLY_KINDS, STATE_KINDS, Fault, format_fault, format_value
+from drivers.emulator.faults import NOISE_BYTES, REPLY_KINDS, STATE_KINDS, Fault, format_fault, format_value
 from drivers.errors import DriverError
 from drivers.packets import MAX_ID, encode_status
 from drivers.servo_models import ServoModel

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from drivers.emulated_modes import Frame, Mode, frame_of, mode_of
-from drivers.emulated_table import Table
+from drivers.emulator.modes import Frame, Mode, frame_of, mode_of
+from drivers.emulator.table import Table
 from drivers.errors import DriverError
 
 

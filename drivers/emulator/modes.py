@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from enum import Enum
 from functools import cache
 
-from drivers.emulated_body import FRICTION, OFF, Control, Drive, Ramp, Spring
-from drivers.emulated_shaft import limits_for_duration
-from drivers.emulated_table import Table
+from drivers.emulator.body import FRICTION, OFF, Control, Drive, Ramp, Spring
+from drivers.emulator.shaft import limits_for_duration
+from drivers.emulator.table import Table
 from drivers.servo_models import ServoModel
 
 _TURN_RAD = 2 * math.pi

@@ -7,8 +7,10 @@ from collections.abc import Iterator, Sequence
 from functools import reduce
 from typing import NamedTuple
 
-from drivers.bus_faults import Fault
-from drivers.emulated_instructions import (
+from drivers.emulator.fault_changes import FaultChanges
+from drivers.emulator.fault_schedule import FaultSchedule, wired_and
+from drivers.emulator.faults import Fault
+from drivers.emulator.instructions import (
     CHECKSUM_ERROR,
     alarm_bits,
     answers,
@@ -20,10 +22,8 @@ from drivers.emulated_instructions import (
     is_fast,
     takes_part,
 )
-from drivers.emulated_servo import EmulatedServo
+from drivers.emulator.servo import EmulatedServo
 from drivers.errors import DriverError
-from drivers.fault_changes import FaultChanges
-from drivers.fault_schedule import FaultSchedule, wired_and
 from drivers.packets import BROADCAST, Frame, Instruction, crc16, encode, encode_status
 
 BITS_PER_BYTE = 10  # e-manual, Protocol: 8 bits, 1 start bit, 1 stop bit, no parity

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from drivers.emulated_body import Body
-from drivers.emulated_heat import Heat
-from drivers.emulated_modes import frame_of, mode_of, potentiometer
-from drivers.emulated_shaft import BEGINNING_NS
-from drivers.emulated_table import Table
+from drivers.emulator.body import Body
+from drivers.emulator.heat import Heat
+from drivers.emulator.modes import frame_of, mode_of, potentiometer
+from drivers.emulator.shaft import BEGINNING_NS
+from drivers.emulator.table import Table
 
 # Counts. X-series manual, Moving Status (123), tells when it is in position, but not how near that is: a guess.
 IN_POSITION_COUNTS = 10

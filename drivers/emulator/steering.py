@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from drivers.emulated_body import OFF, Body, Control, Drive
-from drivers.emulated_modes import bit, drive_of, profile_of, spin_of
-from drivers.emulated_present import Present
-from drivers.emulated_table import Table
+from drivers.emulator.body import OFF, Body, Control, Drive
+from drivers.emulator.modes import bit, drive_of, profile_of, spin_of
+from drivers.emulator.present import Present
+from drivers.emulator.table import Table
 
 _MOTION = frozenset(
     {

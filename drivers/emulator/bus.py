@@ -13,13 +13,13 @@ from functools import partial
 from pathlib import Path
 from types import TracebackType
 
-from drivers.bus_faults import Fault
 from drivers.clock import Clock
-from drivers.emulated_servo import EmulatedServo
-from drivers.emulated_wire import Sending, Wire
+from drivers.emulator.faults import Fault
+from drivers.emulator.pseudo_terminal import PseudoTerminal
+from drivers.emulator.servo import EmulatedServo
+from drivers.emulator.wire import Sending, Wire
 from drivers.errors import DriverError
 from drivers.packets import Frame, FrameReader
-from drivers.pseudo_terminal import PseudoTerminal
 
 # s. A packet that stops arriving for this long is forgotten. Real time: it guards against a client that died.
 PACKET_TIMEOUT_S = 0.1
