@@ -32,10 +32,9 @@ _BITS = 10
 
 def serve(model: str, protocol: float, baud: int, return_delay_us: int, pipe: Connection) -> None:
     """The other process: an emulated bus until the pipe says otherwise."""
-    servos = [EmulatedServo(id, model) for id in IDS]
-    for servo in servos:
-        servo.set("return_delay_time", return_delay_us // 2)
-    with EmulatedBus(servos, protocol=protocol, baud=baud, clock=MonotonicClock()) as bus:
+    delay = {"return_delay_time": return_delay_us // 2}
+    servos = [EmulatedServo(id, model, protocol=protocol, eeprom=delay) for id in IDS]
+    with EmulatedBus(servos, baud=baud, clock=MonotonicClock()) as bus:
         pipe.send(bus.path)
         pipe.recv()
 
@@ -56,6 +55,11 @@ def wire_s(model: str, protocol: float, baud: int, return_delay_us: int) -> floa
     return wire_bytes * _BITS / baud + count * return_delay_us * 1e-6
 
 
+def _path(pipe: Connection) -> str:
+    """The emulated bus's device; raises EOFError if the other process ended."""
+    return str(pipe.recv())
+
+
 def run(model: str, protocol: float, baud: int, return_delay_us: int, seconds: float, rate_hz: float | None) -> tuple:
     """(turns/s, share of a core, errors mended) of a loop at `rate_hz`, or as fast as it goes."""
     here, there = multiprocessing.Pipe()
@@ -63,9 +67,10 @@ def run(model: str, protocol: float, baud: int, return_delay_us: int, seconds: f
         target=serve, args=(model, protocol, baud, return_delay_us, there)
     )
     other.start()
+    there.close()  # so that the end of the other process is noticed
     clock = MonotonicClock()
     joints = [JointConfig(f"joint{id}", (ServoConfig(id, model),), -1.5, 1.5, 1.0) for id in IDS]
-    with DynamixelBus(here.recv(), baud=baud, protocol=protocol, clock=clock) as bus:
+    with DynamixelBus(_path(here), baud=baud, protocol=protocol, clock=clock) as bus:
         arm = Arm(bus, joints, clock, limits=SafetyLimits(stall_s=0.0))
         arm.connect()
         arm.torque_on()
