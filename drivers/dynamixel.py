@@ -43,6 +43,24 @@ class Block:
     t_reply_ns: int
 
 
+class _Layout:
+    """Registers within the bytes from the first of them to the last."""
+
+    def __init__(self, registers: Sequence[Register]) -> None:
+        self.start = min(register.address for register in registers)
+        self.size = max(register.address + register.size for register in registers) - self.start
+        if self.size in MARKER_BYTES:  # those the line keeps for itself
+            self.start, self.size = max(0, self.start - 1), self.size + 1
+        self._parts = [
+            (register, slice(register.address - self.start, register.address - self.start + register.size))
+            for register in registers
+        ]
+
+    def block(self, answer: Answer) -> Block:
+        values = {register.name: register.decode(answer.data[part]) for register, part in self._parts}
+        return Block(values, answer.t_request_ns, answer.t_reply_ns)
+
+
 class DynamixelBus:
     """A serial port with servos of one protocol on it; safe to use from several threads.
 
@@ -84,6 +102,7 @@ class DynamixelBus:
         self._labels: dict[int, str] = {}
         self._line = Line(self._port, protocol, clock, attempts=attempts, labels=self._labels)
         self._models: dict[int, ServoModel] = {}
+        self._layouts: dict[tuple[int, tuple[str, ...]], _Layout] = {}
         self._owner: ThreadPoolExecutor | None = None
 
     def open(self) -> None:
@@ -217,12 +236,12 @@ class DynamixelBus:
         """
 
         def read() -> dict[int, Block]:
-            tables = {id: [self._model(id).register(name) for name in names] for id, names in registers.items()}
+            layouts = {servo_id: self._layout(servo_id, tuple(names)) for servo_id, names in registers.items()}
             groups: dict[tuple[int, int], list[int]] = {}
-            for servo_id, table in tables.items():
-                groups.setdefault(_span(table), []).append(servo_id)
+            for servo_id, layout in layouts.items():
+                groups.setdefault((layout.start, layout.size), []).append(servo_id)
             return {
-                servo_id: _block(tables[servo_id], start, answer)
+                servo_id: layouts[servo_id].block(answer)
                 for (start, size), group in groups.items()
                 for servo_id, answer in self._read_group(group, start, size).items()
             }
@@ -242,8 +261,9 @@ class DynamixelBus:
 
     def _ping(self, servo_id: int) -> int:
         number = self._line.ping(servo_id)
-        if (model := model_by_number(number)) is not None:
+        if (model := model_by_number(number)) is not None and self._models.get(servo_id) is not model:
             self._models[servo_id] = model
+            self._layouts.clear()  # another servo has taken its place
         return number
 
     def _model(self, servo_id: int) -> ServoModel:
@@ -255,6 +275,13 @@ class DynamixelBus:
                     "isn't known; add it to drivers/servo_models"
                 )
         return self._models[servo_id]
+
+    def _layout(self, servo_id: int, names: tuple[str, ...]) -> _Layout:
+        """Where the registers are, found once."""
+        if (servo_id, names) not in self._layouts:
+            model = self._model(servo_id)
+            self._layouts[servo_id, names] = _Layout([model.register(name) for name in names])
+        return self._layouts[servo_id, names]
 
     def _read_group(self, group: Sequence[int], start: int, size: int) -> dict[int, Answer]:
         answers: dict[int, Answer] = {}
@@ -270,19 +297,3 @@ class DynamixelBus:
             return (ALERT,)
         model = self._models.get(servo_id)
         return model.error_names(bits) if model else tuple(f"bit {bit}" for bit in range(8) if bits >> bit & 1)
-
-
-def _span(table: Sequence[Register]) -> tuple[int, int]:
-    """Address and size of the bytes from the first register to the last."""
-    start = min(register.address for register in table)
-    size = max(register.address + register.size for register in table) - start
-    if size in MARKER_BYTES:  # those the line keeps for itself
-        return (start - 1, size + 1) if start else (start, size + 1)
-    return start, size
-
-
-def _block(table: Sequence[Register], start: int, answer: Answer) -> Block:
-    values = {
-        register.name: register.decode(answer.data[register.address - start :][: register.size]) for register in table
-    }
-    return Block(values, answer.t_request_ns, answer.t_reply_ns)

@@ -97,10 +97,17 @@ class FencedPort(PortHandler):
     def writePort(self, packet: list[int]) -> int:
         """Send the bytes of a packet."""
         self.sent = bytes(packet)
+        written = 0
         try:
-            return self.ser.write(self.sent) or 0
+            fd = int(self.ser.fileno())
+            while written < len(self.sent):  # once, but where the system's buffer is full; pyserial waits each time
+                try:
+                    written += os.write(fd, self.sent[written:])
+                except BlockingIOError:
+                    select.select([], [fd], [])
         except _LOST as error:
             raise self._lost() from error
+        return written
 
     def readPort(self, length: int) -> bytes:
         """At most `length` bytes; waits for some until the deadline."""
