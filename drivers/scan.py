@@ -71,6 +71,9 @@ class Skipped:
     why: str
 
 
+Event = Found | Step | Skipped  # what a scan tells of
+
+
 def known_settings(*, first: Sequence[Setting] = ()) -> list[Setting]:
     """All that a known model can be set to: `first`, the factory's bauds, then the rest, the quick protocol 2.0 first.
 
@@ -96,7 +99,7 @@ def scan(
     *,
     expected: Collection[int] = (),
     latency_s: float = DEFAULT_LATENCY_S,
-) -> Generator[Found | Step | Skipped]:
+) -> Generator[Event]:
     """Ask for servos at each setting in turn; yields what is found as it is found, and how far the scan has come.
 
     Protocol 1.0: a ping to each id. Protocol 2.0: a broadcast ping; single pings where damaged replies came back, to

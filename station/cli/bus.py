@@ -17,8 +17,6 @@ from station.cli.show import progress, say_next, table, warn
 FAULTS_HELP = "What goes wrong when, such as mute:3@2+1; may be repeated. docs/emulator.md lists them."
 
 if TYPE_CHECKING:
-    from drivers.probe import Setting
-    from drivers.scan import Found
     from station.doctor.expectation import Match
 
 
@@ -46,56 +44,29 @@ def scan(
 
     Nothing is written to a servo. Exit code 1 if nothing is found, or a servo isn't there as the rig says.
     """
-    from drivers.errors import BusLost
-    from station.doctor.expectation import expected_servos, match_found
-    from station.doctor.scanning import choose_settings, open_wire, parse_ids
-    from station.errors import StationError
-    from station.rig_reading import read_rig
+    from drivers.scan import Event, Found, Skipped, Step
+    from station import bus_commands
 
-    if any(version not in (1.0, 2.0) for version in protocol or []):
-        raise StationError(f"protocol {protocol}: want 1.0 or 2.0")
-    rig_table = None if rig is None else read_rig(rig)[0]
-    expected = () if rig_table is None else expected_servos(rig_table)
-    settings, chosen = choose_settings(baud or [], protocol or [], rig_table), parse_ids(ids)
-    found: list[Found] = []
-    with open_wire(port, rig_table) as (path, latency_s):
-        try:
-            _scan_into(found, path, settings, chosen, [want.servo_id for want in expected], latency_s)
-        except (KeyboardInterrupt, BusLost):
-            if found:  # those that weren't reached aren't missing
-                matches = [match for match in match_found(expected, found) if match.found is not None]
-                _show_scan(path, matches, rig is not None, as_json, narrowed=True)
-            raise
-    matches = match_found(expected, found)
-    narrowed = any(option is not None for option in (baud, protocol, ids))
-    _show_scan(path, matches, rig is not None, as_json, narrowed=narrowed)
-    if not found or any(match.verdict not in ("as expected", "unexpected") for match in matches):
-        raise typer.Exit(1)
-
-
-def _scan_into(
-    found: list[Found],
-    path: str,
-    settings: Sequence[Setting],
-    ids: Sequence[int],
-    expected: Sequence[int],
-    latency_s: float,
-) -> None:
-    """Scan with a bar; what is found is kept even if the scan is stopped."""
-    from contextlib import closing
-
-    from drivers.scan import Skipped, Step, scan
-
-    with progress() as bar, closing(scan(path, settings, ids, expected=expected, latency_s=latency_s)) as events:
+    count = 0
+    with progress() as bar:
         bar.stage("scan")
-        for event in events:
+
+        def on_event(event: Event) -> None:
+            nonlocal count
             if isinstance(event, Step):
                 bar.update(event.done_s, event.total_s)
-                bar.rename(f"{event.setting.baud} baud, {event.setting.protocol:.1f}: {len(found)} found")
+                bar.rename(f"{event.setting.baud} baud, {event.setting.protocol:.1f}: {count} found")
             elif isinstance(event, Skipped):
                 warn(f"{event.why}; not scanned")
-            else:
-                found.append(event)
+            elif isinstance(event, Found):
+                count += 1
+
+        done = bus_commands.scan(port, bauds=baud or [], protocols=protocol or [], ids=ids, rig=rig, on_event=on_event)
+    _show_scan(done.path, done.matches, rig is not None, as_json, narrowed=done.narrowed)
+    if not done.complete:
+        raise KeyboardInterrupt
+    if not count or any(match.verdict not in ("as expected", "unexpected") for match in done.matches):
+        raise typer.Exit(1)
 
 
 def _show_scan(path: str, matches: Sequence[Match], with_rig: bool, as_json: bool, *, narrowed: bool) -> None:
@@ -130,11 +101,11 @@ def doctor(
 
     Nothing moves, and nothing is written but what --fix names. Exit code 1 if anything blocks a capture.
     """
-    from station.doctor.checkup import examine
+    from station import bus_commands
     from station.doctor.finding import Verdict, mends, summary_rows
 
     with progress() as bar:
-        checkup = examine(rig, simulate=simulate, fixes=fix or [], say=bar.stage)
+        checkup = bus_commands.doctor(rig, simulate=simulate, fixes=fix or [], say=bar.stage)
     if as_json:
         print(json.dumps(checkup.as_dict(), allow_nan=False))
     else:
@@ -163,11 +134,11 @@ def emulate(
 
     The first line of standard output is the device's path. Runs until it is stopped with Ctrl-C or SIGTERM.
     """
-    from station.emulation import emulate as open_emulation
+    from station import bus_commands
 
     signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background job has it ignored
     specs = [spec for group in faults or [] for spec in group.split()]
-    with open_emulation(rig, faults=specs, link=link, seed=seed) as arm:
+    with bus_commands.emulate(rig, faults=specs, link=link, seed=seed) as arm:
         print(arm.path, flush=True)
         say_next(f"{rig}: {arm.summary()}; stop it with Ctrl-C")
         arm.wait()
