@@ -285,10 +285,9 @@ class DynamixelBus:
 
     def _read_group(self, group: Sequence[int], start: int, size: int) -> dict[int, Answer]:
         answers: dict[int, Answer] = {}
-        models = [self._model(servo_id) for servo_id in group]
-        if len(group) > 1 and self.protocol == 2.0 and all(model.sync_read for model in models):
+        if len(group) > 1 and self.protocol == 2.0:
             answers = self._line.sync_read(group, start, size)
-        elif len(group) > 1 and self.protocol == 1.0 and all(model.bulk_read for model in models):
+        elif len(group) > 1 and all(self._model(servo_id).bulk_read for servo_id in group):
             answers = self._line.bulk_read(group, start, size)
         return answers or {servo_id: self._line.read(servo_id, start, size) for servo_id in group}
 

@@ -28,10 +28,10 @@ from station.tracking import observe
 NS_PER_S = 1_000_000_000
 SERVO_RATE_HZ = 50.0
 QUEUED_FRAMES = 32
-# Approaching the start and parking: no faster than this, so that a person can step back.
-APPROACH_SPEED_RAD_S = np.radians(20.0)
-# An arm within this of its goal has arrived; servos hold to a count or two (0.3 deg each on AX).
-ARRIVED_RAD = np.radians(2.0)
+# Approaching the start and parking: no faster than this (rad/s, m/s), so that a person can step back.
+APPROACH_SPEED = {"rad": np.radians(20.0), "m": 0.02}
+# A joint within this (rad, m) of its goal has arrived; servos hold to a count or two (0.3 deg each on AX).
+ARRIVED = {"rad": np.radians(2.0), "m": 0.002}
 # An approach may take this many times as long as at constant speed, plus the extra seconds, before it counts as stuck.
 PATIENCE = 1.5
 PATIENCE_S = 3.0
@@ -186,19 +186,21 @@ class Capture:
         self._rig.arm.torque_on()
         self._approach(self._plan.park)
 
-    def _approach(self, goal: FloatArray) -> None:
-        """Go to a pose slowly and wait until the arm is there."""
+    def _approach(self, goal: FloatArray, most: FloatArray | None = None) -> None:
+        """Go to a pose slowly, no faster than `most` (J,), and wait until the arm is there."""
         arm, clock = self._rig.arm, self._rig.clock
-        speeds = np.array([min(joint.max_speed, APPROACH_SPEED_RAD_S) for joint in self._plan.joints])
+        speeds = np.array([min(joint.max_speed, APPROACH_SPEED[joint.unit]) for joint in self._plan.joints])
+        speeds = speeds if most is None else np.minimum(speeds, most)
         arm.set_speeds(speeds)
         distance = np.abs(arm.read().q - goal)
         arm.command(goal)
         deadline = clock.now_ns() + int(NS_PER_S * (PATIENCE_S + PATIENCE * float(np.max(distance / speeds))))
-        while np.any(np.abs(arm.read().q - goal) > ARRIVED_RAD):
+        near = np.array([ARRIVED[joint.unit] for joint in self._plan.joints])
+        while np.any(np.abs(arm.read().q - goal) > near):
             if clock.now_ns() > deadline:
-                far = np.degrees(arm.read().q - goal)
-                worst = int(np.argmax(np.abs(far)))
-                where = f"{arm.names[worst]} is {far[worst]:.1f} deg from its goal"
+                far = arm.read().q - goal
+                worst = int(np.argmax(np.abs(far) / near))
+                where = f"{arm.names[worst]} is {self._plan.joints[worst].text(far[worst])} from its goal"
                 raise ArmFault(f"{where} and does not get there; is it blocked?", joint=arm.names[worst])
             clock.sleep_until_ns(clock.now_ns() + int(NS_PER_S / SERVO_RATE_HZ))
 
@@ -246,7 +248,7 @@ class Capture:
                 arm.connect()
                 self._powered = True
                 arm.torque_on()
-                self._approach(self._standing)
+                self._approach(self._standing, self._speeds(max(0, self._segment)))
                 break
             except (BusLost, NoReply):
                 if clock.now_ns() - lost_ns > patience_s * NS_PER_S:

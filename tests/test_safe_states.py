@@ -50,6 +50,7 @@ class Events:
     """Takes what a capture records, in place of a file."""
 
     events: list[str] = field(default_factory=list)
+    t_s: list[float] = field(default_factory=list)
     state: str = ""
 
     def log_command(self, t_ns: int, q: np.ndarray) -> None: ...
@@ -58,6 +59,11 @@ class Events:
 
     def log_event(self, t_ns: int, level: str, text: str) -> None:
         self.events.append(f"{level} {text}")
+        self.t_s.append(t_ns * 1e-9)
+
+    def at_s(self, part: str) -> float:
+        """When the event that holds this text happened."""
+        return next(t for t, event in zip(self.t_s, self.events, strict=True) if part in event)
 
     def close(self, state: str, counts: dict[str, int]) -> None:
         self.state = state
@@ -151,11 +157,54 @@ def test_a_servo_that_shut_down_is_released_and_not_parked(tmp_path: Path) -> No
 @ON_BOTH
 def test_a_bus_that_comes_back_is_waited_for_and_the_motion_goes_on(tmp_path: Path, name: str) -> None:
     with lab(tmp_path, name, "unplug@3+2", more="reconnect_s = 20") as bench:
+        fastest: list[float] = []
+        while_away = bench.joint_deg
+
+        def speed_deg_s() -> float:
+            before = while_away()
+            bench.pass_s(0.05)
+            return (while_away() - before) / 0.05
+
+        approach = bench.rig.arm.command
+
+        def command(q: np.ndarray) -> int:
+            sent = approach(q)
+            bench.rig.arm.read()  # it has arrived when this is answered
+            if bench.writer.events and "waiting 20 s for it" in bench.writer.events[-1]:
+                bench.pass_s(0.3)
+                fastest.append(speed_deg_s())
+            return sent
+
+        bench.rig.arm.command = command  # type: ignore[method-assign]
         bench.capture()
-        assert bench.writer.state == "complete"
-        back = [event for event in bench.writer.events if "the bus is back" in event]
-        assert len(back) == 1
+        writer = bench.writer
+        assert writer.state == "complete"
         assert not any(bench.each("torque_enable"))
+        # The motion of 8 s took as much longer as the bus was away, and until the arm was back where it was to be.
+        gone_s = writer.at_s("the bus is back") - writer.at_s("waiting 20 s for it")
+        assert gone_s > 2.0
+        assert writer.at_s("motion done") - writer.at_s("starts: 8.0 s") == pytest.approx(8.0 + gone_s, abs=0.3)
+        # On its way there it was no faster than the step, 5 deg/s; servos' speeds come in steps.
+        assert name == "demo" or max(fastest) < 6.0
+
+
+def test_an_arm_that_fails_stays_where_it_is_before_it_is_parked(tmp_path: Path) -> None:
+    """A slow adapter takes seconds to set the speeds for parking: the arm doesn't run on meanwhile."""
+    with lab(tmp_path, "demo", "temperature:{id}@3={hot}") as bench:
+        failed_deg: list[float] = []
+        set_speeds = bench.rig.arm.set_speeds
+
+        def slow(speeds: np.ndarray) -> None:
+            if any("degC" in event for event in bench.writer.events):
+                failed_deg.append(bench.joint_deg())
+                bench.pass_s(3.0)
+                failed_deg.append(bench.joint_deg())
+            set_speeds(speeds)
+
+        bench.rig.arm.set_speeds = slow  # type: ignore[method-assign]
+        with pytest.raises(SafetyStop):
+            bench.capture()
+        assert failed_deg[1] == pytest.approx(failed_deg[0], abs=0.5)  # 15 deg at the speed of the step
 
 
 @ON_BOTH

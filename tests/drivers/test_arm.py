@@ -84,9 +84,9 @@ def bench(
         yield Bench(Arm(bus, joints, clock), bus, emulated, clock, servos)
 
 
-def ready(b: Bench) -> Arm:
+def ready(b: Bench, joints: int = 4) -> Arm:
     b.arm.connect()
-    b.arm.set_speeds([1.0] * 4)
+    b.arm.set_speeds([1.0] * joints)
     b.arm.torque_on()
     return b.arm
 
@@ -277,6 +277,113 @@ def test_ganged_servos_that_disagree_are_a_fault() -> None:
         with pytest.raises(ArmFault, match=r"'shoulder'.*servo 2 at 0.00 deg, servo 3 at -11.73 deg") as caught:
             b.arm.read()
         assert caught.value.joint == "shoulder"
+
+
+def test_ganged_servos_that_disagree_get_no_torque() -> None:
+    with bench(counts={2: 532, 3: 501 + 40}) as b:
+        b.arm.connect()
+        with pytest.raises(ArmFault, match="disagree"):
+            b.arm.torque_on()
+        assert not any(servo.get("torque_enable") for servo in b.servos.values())
+
+
+def test_disagreement_is_of_the_shafts_and_not_of_the_geared_joint() -> None:
+    def servo(id: int, zero: int) -> ServoConfig:
+        return ServoConfig(id, "AX-18A", zero, ratio=4.0, ganging=None if id == 1 else "software")
+
+    joint = JointConfig("slow", (servo(1, 512), servo(2, 500)), -0.3, 0.3, 0.3)
+    for apart, fine in ((12, True), (12 + 20, False)):  # 20 counts: 5.9 deg of the shaft, 1.5 deg of the joint
+        with bench(joints=[joint], present=(1, 2), counts={1: 512, 2: 500 + apart - 12}) as b:
+            b.arm.connect()
+            if fine:
+                b.arm.read()
+            else:
+                with pytest.raises(ArmFault, match="disagree"):
+                    b.arm.read()
+
+
+def test_a_silent_servo_does_not_keep_the_others_from_being_stopped() -> None:
+    mute = [False]
+
+    def speak(servo_id: int, reply: bytes) -> Iterable[tuple[int, bytes]]:
+        return () if mute[0] and servo_id == 1 else ((0, reply),)
+
+    with bench(alter_reply=speak, timeout_s=0.1) as b:
+        arm = ready(b)
+        arm.command([0.5] * 4)
+        arm.read()
+        b.pass_s(0.2)
+        mute[0] = True
+        with pytest.raises(NoReply, match=r"servo 1 \(base\)"):
+            arm.stop()
+        for id in range(2, 7):
+            here = b.servos[id].model.count(b.emulated.shaft_rad(id, b.clock.now_ns()))
+            assert abs(b.servos[id].get("goal_position") - here) <= 12  # it was moving: 1 rad/s, some ms ago
+
+
+def followers(ganging: str, *, sign: int = 1, reversed: bool | None = None) -> tuple[JointConfig, ...]:
+    leader = ServoConfig(1, "XM540-W270")
+    follower = ServoConfig(2, "XM540-W270", sign=sign, ganging=ganging, reversed=reversed)  # type: ignore[arg-type]
+    return (JointConfig("lift", (leader, follower), -1.0, 1.0, 1.0),)
+
+
+def test_a_follower_by_secondary_id_takes_its_leaders_goals_and_has_its_speed() -> None:
+    with bench("XM540-W270", 2.0, joints=followers("secondary_id", reversed=True), present=(1, 2)) as b:
+        b.servos[2].set("secondary_id", 1)
+        b.servos[2].set("drive_mode", 1)
+        arm = ready(b, joints=1)
+        assert b.servos[1].get("profile_velocity") == b.servos[2].get("profile_velocity") > 0
+        arm.command([0.5])
+        b.talk_s(2)
+        assert arm.read().q == pytest.approx([0.5], abs=0.002)
+        left, right = (b.emulated.shaft_rad(id, b.clock.now_ns()) for id in (1, 2))
+        assert left == pytest.approx(-right, abs=0.002)  # they face each other
+
+
+def test_a_follower_by_sync_cable_is_sent_no_goal() -> None:
+    with bench("XM540-W270", 2.0, joints=followers("sync_cable", sign=-1), present=(1, 2)) as b:
+        b.servos[2].set("drive_mode", 2)
+        b.servos[2].follow(b.servos[1], twisted=True)
+        goal = b.servos[2].get("goal_position")
+        arm = ready(b, joints=1)
+        arm.command([0.5])
+        b.talk_s(2)
+        assert arm.read().q == pytest.approx([0.5], abs=0.002)
+        assert b.servos[2].get("goal_position") == goal
+        arm.stop()
+        assert b.servos[2].get("goal_position") == goal
+
+
+@pytest.mark.parametrize(
+    ("joints", "secondary_id", "drive_mode", "said"),
+    [
+        (followers("secondary_id"), 255, 0, "has secondary id 255; to follow servo 1 it must be 1"),
+        (followers("secondary_id", reversed=True), 1, 0, "reverse bit of its drive mode off; the rig wants it on"),
+        (followers("secondary_id", reversed=False), 1, 1, "reverse bit of its drive mode on; the rig wants it off"),
+        (followers("software", sign=-1), 1, 0, "takes the goals of servo 1 by its secondary id"),
+        (followers("sync_cable", sign=-1), 255, 0, "isn't set to follow by its sync cable; set bit 1"),
+    ],
+)
+def test_a_follower_that_is_set_up_otherwise_is_told(
+    joints: tuple[JointConfig, ...], secondary_id: int, drive_mode: int, said: str
+) -> None:
+    with bench("XM540-W270", 2.0, joints=joints, present=(1, 2)) as b:
+        b.servos[2].set("secondary_id", secondary_id)
+        b.servos[2].set("drive_mode", drive_mode)
+        with pytest.raises(ServoFault, match=said):
+            b.arm.connect()
+
+
+def test_the_servos_own_limits_count_in_position_mode_alone() -> None:
+    for mode, fine in ((3, False), (4, True), (5, True)):
+        with bench("XM430-W350", 2.0) as b:
+            b.servos[1].set("operating_mode", mode)
+            b.servos[1].set("min_position_limit", 2000)
+            if fine:
+                b.arm.connect()
+            else:
+                with pytest.raises(ArmFault, match="goes from count 2000"):
+                    b.arm.connect()
 
 
 def test_settings_that_cannot_work_are_told_at_connect() -> None:
