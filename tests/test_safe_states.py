@@ -32,6 +32,7 @@ FAULT_AT_S = 3.0
 MOTION = """
 schema = "motion/1"
 name = "there"
+mode = "{mode}"
 [[step]]
 move = {{ {joint} = 40 }}
 speed_deg_s = 5
@@ -97,7 +98,9 @@ class Lab:
 
 
 @contextmanager
-def lab(folder: Path, name: str, fault: str, *, at_exit: str = "park-then-release", more: str = "") -> Iterator[Lab]:
+def lab(
+    folder: Path, name: str, fault: str, *, at_exit: str = "park-then-release", more: str = "", mode: str = "step"
+) -> Iterator[Lab]:
     source, (joint, hot) = load_rig(name), RIGS[name]
     ids = next([servo.id for servo in each.servo] for each in source.table.joint if each.name == joint)
     fault = fault.format(id=ids[0], ids=",".join(map(str, ids)), hot=hot)
@@ -105,7 +108,7 @@ def lab(folder: Path, name: str, fault: str, *, at_exit: str = "park-then-releas
     text = text.replace("[simulation]\n", f'[simulation]\nfaults = ["{fault}"]\n')
     rig_path, motion_path = folder / "rig.toml", folder / "motion.toml"
     rig_path.write_text(text, encoding="utf-8")
-    motion_path.write_text(MOTION.format(joint=joint), encoding="utf-8")
+    motion_path.write_text(MOTION.format(joint=joint, mode=mode), encoding="utf-8")
     table, clock = parse_rig(text, str(rig_path)), VirtualClock()
     with (
         EmulatedArm(table, table.simulation, clock) as emulated,
@@ -186,6 +189,32 @@ def test_a_bus_that_comes_back_is_waited_for_and_the_motion_goes_on(tmp_path: Pa
         assert writer.at_s("motion done") - writer.at_s("starts: 8.0 s") == pytest.approx(8.0 + gone_s, abs=0.3)
         # On its way there it was no faster than the step, 5 deg/s; servos' speeds come in steps.
         assert name == "demo" or max(fastest) < 6.0
+
+
+def test_a_stream_goes_on_at_its_own_speeds_when_the_bus_is_back(tmp_path: Path) -> None:
+    with lab(tmp_path, "openmanipulator_x", "unplug@3+1", more="reconnect_s = 20", mode="stream") as bench:
+        speeds: list[list[int]] = []
+        read = bench.rig.arm.read
+
+        def reading() -> object:
+            if not bench.writer.events or "bus is back" not in " ".join(bench.writer.events):
+                return read()
+            speeds.append(bench.each("profile_velocity"))
+            return read()
+
+        before: list[int] = []
+        command = bench.rig.arm.command
+
+        def commanding(q: np.ndarray) -> int:
+            if any("starts" in event for event in bench.writer.events) and not before:
+                read()
+                before.extend(bench.each("profile_velocity"))
+            return command(q)
+
+        bench.rig.arm.read = reading  # type: ignore[method-assign]
+        bench.rig.arm.command = commanding  # type: ignore[method-assign]
+        bench.capture()
+        assert speeds[5] == before  # not those of the approach
 
 
 def test_an_arm_that_fails_stays_where_it_is_before_it_is_parked(tmp_path: Path) -> None:

@@ -340,6 +340,21 @@ def test_a_follower_by_secondary_id_takes_its_leaders_goals_and_has_its_speed() 
         assert left == pytest.approx(-right, abs=0.002)  # they face each other
 
 
+def test_a_follower_by_secondary_id_that_does_not_take_the_speed_is_found() -> None:
+    with bench("XM540-W270", 2.0, joints=followers("secondary_id"), present=(1, 2)) as b:
+        b.servos[2].set("secondary_id", 1)
+        write, speed = b.servos[2].write, b.servos[2].model.registers["profile_velocity"]
+
+        def ignore(address: int, data: bytes, t_ns: int, **how: bool) -> None:
+            if address != speed.address:
+                write(address, data, t_ns, **how)
+
+        b.servos[2].write = ignore  # type: ignore[method-assign]
+        b.arm.connect()
+        with pytest.raises(ServoFault, match=r"servo 2 \(lift\): wrote 41 to 'profile_velocity', it reads 0"):
+            b.arm.set_speeds([1.0])
+
+
 def test_a_follower_by_sync_cable_is_sent_no_goal() -> None:
     with bench("XM540-W270", 2.0, joints=followers("sync_cable", sign=-1), present=(1, 2)) as b:
         b.servos[2].set("drive_mode", 2)
