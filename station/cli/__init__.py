@@ -9,7 +9,12 @@ from functools import partial
 from types import FrameType
 from typing import NoReturn
 
-from station.cli import bus, sessions  # noqa: F401 (their commands join the application)
+from station.cli import sessions  # noqa: F401 (its commands join the application)
+
+# isort: split
+from station.cli import bus  # noqa: F401 (after them, as `station --help` lists the commands)
+
+# isort: split
 from station.cli.app import app
 
 EXIT_ERROR, EXIT_HARDWARE, EXIT_SIGINT, EXIT_SIGTERM = 1, 3, 130, 143
