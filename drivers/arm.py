@@ -26,6 +26,7 @@ DISAGREEMENT_RAD = math.radians(5.0)
 PROFILE_ACCELERATION_RAD_S2 = 10.0
 # rad or m. A command at the limit may be over it by the rounding of float64.
 LIMIT_TOLERANCE = 1e-9
+TORQUE_LIMIT = "torque_limit"
 WATCHDOG = "bus_watchdog"
 WATCHDOG_UNIT_S, WATCHDOG_MOST = 0.02, 127  # X-series manual, Bus Watchdog (98)
 
@@ -159,6 +160,7 @@ class Arm:
         self.read()  # ganged servos that disagree would fight
         try:
             self._set_watchdog(0.0)  # one that has tripped refuses goals
+            self._restore_torque_limits()
             self._hold()
             write_together(self._bus, {"torque_enable": dict.fromkeys(self._ids, 1)})
             self._check_alarms()
@@ -266,6 +268,16 @@ class Arm:
         present, failures = read_each(self._bus, ids, "present_position")
         if present:
             write_together(self._bus, {"goal_position": present})
+        if failures:
+            raise failures[0]
+
+    def _restore_torque_limits(self) -> None:
+        """After a shutdown servos without reboot have a torque limit of 0 until it is written (e-manual, Shutdown)."""
+        ids = [servo.id for _, servo in self._servos() if servo.table.recovery == "torque_limit"]
+        limits, failures = read_each(self._bus, ids, TORQUE_LIMIT) if ids else ({}, [])
+        lost = {servo_id: self._bus.read(servo_id, "max_torque") for servo_id, limit in limits.items() if not limit}
+        if lost:
+            write_together(self._bus, {TORQUE_LIMIT: lost})
         if failures:
             raise failures[0]
 

@@ -33,21 +33,30 @@ def read_rig(name_or_path: str) -> tuple[RigTable, str, Path]:
     text = read_text(path, "rig", f"packaged ones are {', '.join(packaged_names('rigs'))}")
     table = parse_rig(text, str(path))
     try:
-        for joint in joint_configs(table):
-            for servo in joint.servos:
-                load_model(servo.model)
+        joint_configs(table)
     except DriverError as error:
         raise InvalidFile(f"{path}: {error}") from error
     return table, text, path
 
 
 def joint_configs(table: RigTable) -> tuple[JointConfig, ...]:
-    """The rig's joints as the arm takes them; raises DriverError for what its servos can't be."""
+    """The rig's joints as the arm takes them; raises DriverError for what its servos can't be.
+
+    A model whose firmware comes for either protocol ("MX-28") is the one of the bus's.
+    """
     return tuple(
         JointConfig(
             name=joint.name,
             servos=tuple(
-                ServoConfig(servo.id, servo.model, servo.zero, servo.sign, _ratio(servo), servo.ganging, servo.reversed)
+                ServoConfig(
+                    id=servo.id,
+                    model=load_model(servo.model, protocol=table.bus.protocol).name,
+                    zero_count=servo.zero,
+                    sign=servo.sign,
+                    ratio=_ratio(servo),
+                    ganging=servo.ganging,
+                    reversed=servo.reversed,
+                )
                 for servo in joint.servo
             ),
             lower=limits.lower,

@@ -11,6 +11,7 @@ from drivers.errors import NoCamera, NoPort
 from station.errors import InvalidData, InvalidFile
 from station.formats.rig import load_calibration, parse_rig
 from station.rig import load_rig, open_rig, packaged, packaged_names
+from station.rig_reading import joint_configs
 from station.stage import Stage, facing, look_at, mechanism
 
 DEMO = packaged("rigs", "demo").read_text(encoding="utf-8")
@@ -170,6 +171,19 @@ def test_the_picture_shows_the_arms_actual_angles_in_the_middle_of_the_exposure(
         # SUBPIX sees the square 0.4 px small; a count of the servo is 0.3 deg, 1 px at 0.2 m from the axis.
         np.testing.assert_allclose(seen[marker_id], truth[marker_id], atol=2.0)
     assert set(truth) & set(seen)
+
+
+def test_a_model_of_two_firmwares_is_that_of_the_bus():
+    for protocol, name in ((1.0, "MX-28"), (2.0, "MX-28(2.0)")):
+        table = parse_rig(
+            DEMO.replace('"AX-18A"', '"MX-28"').replace("protocol = 1.0", f"protocol = {protocol}"), "my.toml"
+        )
+        assert {servo.model for joint in joint_configs(table) for servo in joint.servos} == {name}
+
+
+def test_a_model_that_does_not_speak_the_protocol_is_said(tmp_path: Path):
+    with pytest.raises(InvalidFile, match=r"rig\.toml: AX-18A speaks protocol 1\.0, not 2\.0"):
+        load_rig(changed(tmp_path, "protocol = 1.0", "protocol = 2.0"))
 
 
 def test_a_servo_model_that_is_not_known_is_said_when_the_rig_is_read(tmp_path: Path):

@@ -44,7 +44,7 @@ def expected_servos(table: RigTable) -> tuple[Expected, ...]:
     """The servos that a rig names, in its order; raises DriverError for an unknown model."""
     setting = rig_setting(table)
     return tuple(
-        Expected(servo.id, joint.name, load_model(servo.model), setting)
+        Expected(servo.id, joint.name, load_model(servo.model, protocol=table.bus.protocol), setting)
         for joint in table.joint
         for servo in joint.servo
     )

@@ -321,6 +321,19 @@ def test_a_silent_servo_does_not_keep_the_others_from_being_stopped() -> None:
             assert abs(b.servos[id].get("goal_position") - here) <= 12  # it was moving: 1 rad/s, some ms ago
 
 
+@pytest.mark.parametrize(("model", "protocol"), [("AX-18A", 1.0), ("MX-28", 1.0)])
+def test_torque_lost_by_a_shutdown_is_given_back_when_it_is_switched_on(model: str, protocol: float) -> None:
+    with bench(model, protocol) as b:
+        arm = ready(b)
+        b.servos[1].set("torque_limit", 0)  # what a shutdown leaves
+        arm.torque_off()
+        arm.torque_on()
+        assert b.servos[1].get("torque_limit") == b.servos[1].get("max_torque") > 0
+        arm.command([0.5] * 4)
+        b.talk_s(2)
+        assert arm.read().q[0] == pytest.approx(0.5, abs=0.01)
+
+
 def followers(ganging: str, *, sign: int = 1, reversed: bool | None = None) -> tuple[JointConfig, ...]:
     leader = ServoConfig(1, "XM540-W270")
     follower = ServoConfig(2, "XM540-W270", sign=sign, ganging=ganging, reversed=reversed)  # type: ignore[arg-type]
