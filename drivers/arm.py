@@ -38,8 +38,7 @@ class ArmReading:
     Attributes:
         t_request_ns, t_reply_ns: of the first request and the last reply.
         q: (J,) states, rad or m; the mean of ganged servos.
-        t_joint_ns: (J,) midpoints of each joint's own requests and replies: servos without group reads are asked one
-            after the other.
+        t_joint_ns: (J,) midpoints of each joint's own requests and replies: servos answer one after the other.
         servos: what each servo says of itself, by id.
     """
 

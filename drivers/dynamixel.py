@@ -231,8 +231,8 @@ class DynamixelBus:
         """Several registers of each servo at once: all bytes from the first of them to the last.
 
         Servos whose bytes are at the same place answer one instruction, where they have such (sync read in protocol
-        2.0, bulk read of MX servos in 1.0), and share its stamps; others, and all after a group read that failed, are
-        asked one after the other.
+        2.0, bulk read of MX servos in 1.0), each with the stamps of its turn; others, and all after a group read that
+        failed, are asked one after the other.
         """
 
         def read() -> dict[int, Block]:

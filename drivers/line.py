@@ -27,6 +27,7 @@ _STATUS_BYTES = {1.0: 6, 2.0: 11}  # a status packet without data
 # Reads from address 0 of sizes that nothing else asks for, so that their replies can be told; used in turn, so that the
 # reply to one that came too late isn't taken for the next one's.
 MARKER_BYTES = (5, 7, 9, 13)
+_LONGEST_DELAY_NS = 508_000  # e-manual, Return Delay Time: 254 units of 2 us
 # ms. After a group read that went wrong: the pause after which nobody is answering it any more, beside the wire time.
 _QUIET_MS = 5.0
 # ms. A servo answers a ping of all this long after the one with the id before (the SDK's own allowance).
@@ -187,8 +188,21 @@ class Line:
             self.counts["fallbacks"] += 1
             self._wait_for_quiet(len(servo_ids) * (size + _STATUS_BYTES[self._protocol]))
             return {}
-        t_reply_ns = self._clock.now_ns()
-        return {servo_id: Answer(data[servo_id], t_request_ns, t_reply_ns) for servo_id in servo_ids}
+        return self._in_turns(data, t_request_ns, self._clock.now_ns(), size)
+
+    def _in_turns(self, data: Mapping[int, bytes], t_request_ns: int, t_reply_ns: int, size: int) -> dict[int, Answer]:
+        """Each servo's share of the time of a group read: they answer one after the other, in turns of equal length.
+
+        Time beyond what the bytes and the longest return delays take is the adapter's: it comes after the last turn.
+        """
+        byte_ns = BITS_PER_BYTE * 1_000_000_000 // self._port.baudrate
+        start_ns = t_request_ns + len(self._port.sent) * byte_ns
+        longest_ns = (size + _STATUS_BYTES[self._protocol]) * byte_ns + _LONGEST_DELAY_NS
+        turn_ns = max(0, min((t_reply_ns - start_ns) // len(data), longest_ns))
+        return {
+            servo_id: Answer(found, start_ns + k * turn_ns, start_ns + (k + 1) * turn_ns)
+            for k, (servo_id, found) in enumerate(data.items())
+        }
 
     def _wait_for_quiet(self, wire_bytes: int) -> None:
         """Let those who still answer finish: a question now would collide with them."""

@@ -128,12 +128,15 @@ def test_stamps_enclose_the_exchange_on_the_bus_clock(model: str, protocol: floa
         # the next request can't be on the wire before the bytes of the write are off it
         wire_ns = (8 if protocol == 1.0 else 14) * 10_000 + 3 * 2 * 10_000
         assert bus.read_many([1], "led")[1].t_request_ns == sent_ns + wire_ns
-        wire_and_delay_ns = readings[1].t_reply_ns - readings[1].t_request_ns
-        assert wire_and_delay_ns == (
+        turn_ns = readings[1].t_reply_ns - readings[1].t_request_ns
+        assert turn_ns == (
             16 * 10_000 + 500_000  # 8 bytes there, 8 back at 10 us, return delay 500 us
             if protocol == 1.0
-            else (17 + 3 * 15) * 10_000 + 3 * 500_000  # a sync read of three: 17 bytes there, 15 back each
+            else 15 * 10_000 + 500_000  # of a sync read: 15 bytes back
         )
+        if protocol == 2.0:  # after the 17 bytes of the question each has its turn
+            assert readings[1].t_request_ns == before_ns + 17 * 10_000
+            assert [readings[k].t_request_ns - readings[1].t_request_ns for k in (2, 3)] == [turn_ns, 2 * turn_ns]
 
 
 def run_program(model: str, protocol: float) -> tuple[list[tuple[int, bytes]], list[object]]:

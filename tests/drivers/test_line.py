@@ -110,11 +110,32 @@ def test_a_block_is_what_its_registers_read(model: str, protocol: float) -> None
         assert not any(bus.errors.values())
 
 
-def test_servos_with_bulk_read_share_one_exchange_in_protocol_1() -> None:
-    for model, shared in (("MX-28", True), ("AX-18A", False)):
+def test_servos_with_bulk_read_answer_one_question_in_protocol_1() -> None:
+    for model, questions in (("MX-28", 1), ("AX-18A", 3)):
         with station(model, 1.0) as (bus, _):
-            readings = bus.read_many([1, 2, 3], "present_position")
-            assert (len({reading.t_ns for reading in readings.values()}) == 1) == shared
+            for id in (1, 2, 3):
+                bus.model(id)
+            sent: list[bytes] = []
+            write = bus._port.writePort
+            bus._port.writePort = lambda packet, write=write, sent=sent: (sent.append(packet), write(packet))[1]  # type: ignore
+            bus.read_many([1, 2, 3], "present_position")
+            assert len(sent) == questions
+
+
+def test_what_a_slow_adapter_adds_is_no_part_of_a_servos_turn() -> None:
+    """An adapter that holds bytes back makes the answer late, not the servos: turns are no longer than they can be."""
+    held = [False]
+
+    def hold(servo_id: int, reply: bytes) -> Iterable[tuple[int, bytes]]:
+        return ((16_000_000 if held[0] and servo_id == 3 else 0, reply),)
+
+    with station("XM430-W350", 2.0, alter_reply=hold) as (bus, _):
+        for id in (1, 2, 3):
+            bus.model(id)
+        held[0] = True
+        readings = bus.read_many([1, 2, 3], "present_position")
+        turns_us = [(reading.t_reply_ns - reading.t_request_ns) / 1000 for reading in readings.values()]
+        assert turns_us == [150 + 508] * 3  # 15 bytes at 10 us, and the longest return delay
 
 
 def test_a_block_of_a_markers_size_is_asked_for_with_one_byte_more() -> None:
