@@ -32,6 +32,10 @@ QUEUED_FRAMES = 32
 APPROACH_SPEED = {"rad": np.radians(20.0), "m": 0.02}
 # A joint within this (rad, m) of its goal has arrived; servos hold to a count or two (0.3 deg each on AX).
 ARRIVED = {"rad": np.radians(2.0), "m": 0.002}
+# Position control without an integral lets a loaded joint stand off its goal (a count is some 0.7 % of an X servo's
+# output): one that has come this near (rad, m) and then moves by less than a share of ARRIVED for so long is there.
+SAGGING = {"rad": np.radians(8.0), "m": 0.008}
+STILL_SHARE, STILL_S = 0.2, 0.5
 # An approach may take this many times as long as at constant speed, plus the extra seconds, before it counts as stuck.
 PATIENCE = 1.5
 PATIENCE_S = 3.0
@@ -195,12 +199,18 @@ class Capture:
         distance = np.abs(arm.read().q - goal)
         arm.command(goal)
         deadline = clock.now_ns() + int(NS_PER_S * (PATIENCE_S + PATIENCE * float(np.max(distance / speeds))))
-        near = np.array([ARRIVED[joint.unit] for joint in self._plan.joints])
-        while np.any(np.abs(arm.read().q - goal) > near):
+        units = [joint.unit for joint in self._plan.joints]
+        near, sagging = (np.array([least[unit] for unit in units]) for least in (ARRIVED, SAGGING))
+        still_from_ns, still_at = clock.now_ns(), arm.read().q
+        while np.any(np.abs((q := arm.read().q) - goal) > near):
+            worst = int(np.argmax(np.abs(q - goal) / near))
+            where = f"{arm.names[worst]} is {self._plan.joints[worst].text(q[worst] - goal[worst])} from its goal"
+            if np.any(np.abs(q - still_at) > STILL_SHARE * near):
+                still_from_ns, still_at = clock.now_ns(), q
+            if clock.now_ns() - still_from_ns > STILL_S * NS_PER_S and np.all(np.abs(q - goal) <= sagging):
+                self._event("WARN", f"{where}, and stays there: it sags under its load, or something holds it")
+                return
             if clock.now_ns() > deadline:
-                far = arm.read().q - goal
-                worst = int(np.argmax(np.abs(far) / near))
-                where = f"{arm.names[worst]} is {self._plan.joints[worst].text(far[worst])} from its goal"
                 raise ArmFault(f"{where} and does not get there; is it blocked?", joint=arm.names[worst])
             clock.sleep_until_ns(clock.now_ns() + int(NS_PER_S / SERVO_RATE_HZ))
 

@@ -99,13 +99,21 @@ class Lab:
 
 @contextmanager
 def lab(
-    folder: Path, name: str, fault: str, *, at_exit: str = "park-then-release", more: str = "", mode: str = "step"
+    folder: Path,
+    name: str,
+    fault: str,
+    *,
+    at_exit: str = "park-then-release",
+    more: str = "",
+    mode: str = "step",
+    weight: str = "",
 ) -> Iterator[Lab]:
     source, (joint, hot) = load_rig(name), RIGS[name]
     ids = next([servo.id for servo in each.servo] for each in source.table.joint if each.name == joint)
     fault = fault.format(id=ids[0], ids=",".join(map(str, ids)), hot=hot)
     text = source.text.replace('at_exit = "park-then-release"', f'at_exit = "{at_exit}"\n{more}')
     text = text.replace("[simulation]\n", f'[simulation]\nfaults = ["{fault}"]\n')
+    text = text.replace('child = "gripper"\n', f'child = "gripper"\n{weight}')
     rig_path, motion_path = folder / "rig.toml", folder / "motion.toml"
     rig_path.write_text(text, encoding="utf-8")
     motion_path.write_text(MOTION.format(joint=joint, mode=mode), encoding="utf-8")
@@ -261,3 +269,14 @@ def test_a_silence_in_which_the_watchdog_stopped_the_arm_is_said(tmp_path: Path)
         arm.torque_on()  # and it can be used again
         arm.command(np.zeros(len(arm.names)))
         arm.torque_off()
+
+
+def test_an_arm_that_sags_under_its_load_is_used_and_it_is_said(tmp_path: Path) -> None:
+    """0.45 kg 278 mm in front of the axis: some 1.2 N m of the 4.1 N m that the servo has, and no integral gain."""
+    weight = "mass_kg = 0.45\ncentre_mm = [290, 0, 205]\n"
+    with lab(tmp_path, "openmanipulator_x", "noise@100", weight=weight) as bench:
+        bench.capture()
+        writer = bench.writer
+        assert writer.state == "complete"
+        (said,) = {event for event in writer.events if "sags under its load" in event}
+        assert "WARN joint2 is" in said
