@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -93,6 +93,7 @@ class Arm:
                 raise DriverError(f"servo {servo.id} ({joint.name}): {servo.model} doesn't speak {bus.protocol:.1f}")
             bus.label(servo.id, joint.name)
         self._ids = tuple(ids)
+        self._readers = {servo.id: _reader(servo) for _, servo in self._servos()}
         self._status_registers = {servo.id: servo.table.status_registers for _, servo in self._servos()}
 
     @property
@@ -226,7 +227,7 @@ class Arm:
         blocks = self._bus.read_blocks(self._status_registers)
         self._check_alarms()
         self._check_silence(min(block.t_request_ns for block in blocks.values()))
-        states = {servo.id: _state(servo, blocks[servo.id]) for _, servo in self._servos()}
+        states = {servo_id: self._readers[servo_id](block) for servo_id, block in blocks.items()}
         q = np.array([self._joint_state(joint, states) for joint in self._joints], dtype=np.float64)
         own = [[blocks[servo.id] for servo in joint.servos] for joint in self._joints]
         t_joint_ns = np.array([(b[0].t_request_ns + b[-1].t_reply_ns) // 2 for b in own], dtype=np.int64)
@@ -354,14 +355,24 @@ def _speed_units(joint: JointConfig, servo: ServoConfig, speed: float) -> int:
     return value
 
 
-def _state(servo: ServoConfig, block: Block) -> ServoState:
+def _reader(servo: ServoConfig) -> Callable[[Block], ServoState]:
+    """Turns a servo's status registers into quantities; what the table says of them is looked up once."""
     model = servo.table
     position, speed, effort, voltage, temperature = model.status_registers
-    values, registers = block.values, model.registers
-    return ServoState(
-        count=values[position],
-        speed_rad_s=registers[speed].physical(values[speed]),
-        load=model.load_share(effort, values[effort]),
-        voltage_v=registers[voltage].physical(values[voltage]),
-        temperature_c=registers[temperature].physical(values[temperature]),
+    per_speed, per_volt, per_degree = (
+        (unit.per_count if (unit := model.registers[name].unit) else 1.0) for name in (speed, voltage, temperature)
     )
+    zeros = [model.registers[name].zero for name in (speed, voltage, temperature)]
+    per_load = model.load_share(effort, 1) - model.load_share(effort, 0)
+
+    def read(block: Block) -> ServoState:
+        values = block.values
+        return ServoState(
+            count=values[position],
+            speed_rad_s=(values[speed] - zeros[0]) * per_speed,
+            load=values[effort] * per_load,
+            voltage_v=(values[voltage] - zeros[1]) * per_volt,
+            temperature_c=(values[temperature] - zeros[2]) * per_degree,
+        )
+
+    return read

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import operator
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from types import TracebackType
 from typing import SupportsIndex, TypeVar
@@ -12,6 +12,7 @@ from typing import SupportsIndex, TypeVar
 from drivers.clock import Clock
 from drivers.errors import BusLost, DriverError
 from drivers.line import MARKER_BYTES, Answer, Line
+from drivers.owner import OwnerEnded, OwnerThread
 from drivers.sdk_fence import FencedPort
 from drivers.servo_models import Register, ServoModel, model_by_number
 
@@ -103,13 +104,13 @@ class DynamixelBus:
         self._line = Line(self._port, protocol, clock, attempts=attempts, labels=self._labels)
         self._models: dict[int, ServoModel] = {}
         self._layouts: dict[tuple[int, tuple[str, ...]], _Layout] = {}
-        self._owner: ThreadPoolExecutor | None = None
+        self._owner: OwnerThread | None = None
 
     def open(self) -> None:
         """Open the port for this program alone; raises NoPort that says why it can't be."""
         if self._owner is not None:
             return
-        self._owner = ThreadPoolExecutor(1, thread_name_prefix=f"bus {self.path}")
+        self._owner = OwnerThread(f"bus {self.path}")
         try:
             self._owned(self._port.openPort)
         except BaseException:
@@ -120,8 +121,9 @@ class DynamixelBus:
         """Close the port once the exchange under way is done; nothing happens if it is closed."""
         owner, self._owner = self._owner, None
         if owner is not None:
-            owner.submit(self._port.closePort)
-            owner.shutdown(wait=True)
+            with contextlib.suppress(OwnerEnded):  # another thread was as quick
+                owner.do(self._port.closePort)
+            owner.end()
 
     def __enter__(self) -> DynamixelBus:
         self.open()
@@ -251,10 +253,12 @@ class DynamixelBus:
     def _owned(self, work: Callable[[], T]) -> T:
         """Have the owner thread do something, and wait for it."""
         owner = self._owner
-        if owner is None:
-            raise BusLost(f"{self.path} isn't open; call open() first")
         try:
-            return owner.submit(work).result()
+            if owner is None:
+                raise OwnerEnded
+            return owner.do(work)
+        except OwnerEnded:
+            raise BusLost(f"{self.path} isn't open; call open() first") from None
         except BusLost:
             self.close()
             raise

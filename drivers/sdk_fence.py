@@ -51,6 +51,7 @@ class FencedPort(PortHandler):
         self.path = path
         self.baudrate = baud
         self._reply_timeout_s = reply_timeout_s
+        self._fd = -1
         self._received = bytearray()
         self.sent = b""  # the last packet that went out
         self._deadline_s = 0.0
@@ -71,6 +72,7 @@ class FencedPort(PortHandler):
             self.ser = serial.Serial(port=self.port_name, baudrate=cflag_baud, timeout=0, exclusive=True)
         except (OSError, ValueError, termios.error) as error:
             raise NoPort(_why_not_open(self.port_name, cflag_baud, error)) from error
+        self._fd = int(self.ser.fileno())  # non-blocking: pyserial opens it so
         self.is_open = True
         self.is_using = False
         self.tx_time_per_byte = 1000.0 / cflag_baud * BITS_PER_BYTE
@@ -81,30 +83,30 @@ class FencedPort(PortHandler):
         """Close the device; nothing happens if it is closed already."""
         if self.is_open:
             self.ser.close()
-        self.is_open = False
+        self.is_open, self._fd = False, -1  # or another file might get the number
 
     def clearPort(self) -> None:
         """Forget what was received: it answers no question that is still open."""
+        stale = len(self._received)
+        self._received.clear()
         try:
-            waiting = int(self.ser.in_waiting) if self.is_open else 0
-            self.stale_bytes += waiting + len(self._received)
-            self._received.clear()
-            if waiting:
-                self.ser.reset_input_buffer()
+            stale += len(os.read(self._fd, _READ_BYTES)) if self.is_open else 0
+        except BlockingIOError:
+            pass
         except _LOST as error:
             raise self._lost() from error
+        self.stale_bytes += stale
 
     def writePort(self, packet: list[int]) -> int:
         """Send the bytes of a packet."""
         self.sent = bytes(packet)
         written = 0
         try:
-            fd = int(self.ser.fileno())
             while written < len(self.sent):  # once, but where the system's buffer is full; pyserial waits each time
                 try:
-                    written += os.write(fd, self.sent[written:])
+                    written += os.write(self._fd, self.sent[written:])
                 except BlockingIOError:
-                    select.select([], [fd], [])
+                    select.select([], [self._fd], [])
         except _LOST as error:
             raise self._lost() from error
         return written
@@ -140,9 +142,8 @@ class FencedPort(PortHandler):
         """Wait for bytes until the deadline; past it, take what is there, once: this process may have been stopped."""
         wait_s = self._deadline_s - time.monotonic()
         try:
-            fd = int(self.ser.fileno())
-            ready, _, _ = select.select([fd], [], [], max(0.0, wait_s))
-            data = os.read(fd, _READ_BYTES) if ready else b""
+            ready, _, _ = select.select([self._fd], [], [], max(0.0, wait_s))
+            data = os.read(self._fd, _READ_BYTES) if ready else b""
         except BlockingIOError:
             return
         except (*_LOST, ValueError) as error:
