@@ -17,7 +17,6 @@ from drivers.sdk_fence import FencedPort
 from drivers.servo_models import Register, ServoModel, model_by_number
 
 T = TypeVar("T")
-ATTEMPTS = 3  # of every exchange
 ALERT = "alert"  # protocol 2.0: the status packet says that there is an alarm; which, its register tells
 
 
@@ -78,7 +77,6 @@ class DynamixelBus:
         protocol: 1.0 or 2.0.
         clock: gives the stamps.
         reply_timeout_s: how long to wait for a reply, in real time; the wire time and 34 ms if None.
-        attempts: how often an exchange is tried.
 
     Raises (all methods that talk):
         BusLost: the port isn't open, or is lost now; it is closed then, and can be opened again.
@@ -94,14 +92,13 @@ class DynamixelBus:
         protocol: float,
         clock: Clock,
         reply_timeout_s: float | None = None,
-        attempts: int = ATTEMPTS,
     ) -> None:
         if protocol not in (1.0, 2.0):  # the SDK takes any other number for 2.0
             raise DriverError(f"{port}: no protocol {protocol:g}; have 1.0 and 2.0")
         self.path, self.baud, self.protocol = port, baud, protocol
         self._port = FencedPort(port, baud, reply_timeout_s)
         self._labels: dict[int, str] = {}
-        self._line = Line(self._port, protocol, clock, attempts=attempts, labels=self._labels)
+        self._line = Line(self._port, protocol, clock, labels=self._labels)
         self._models: dict[int, ServoModel] = {}
         self._layouts: dict[tuple[int, tuple[str, ...]], _Layout] = {}
         self._owner: OwnerThread | None = None
@@ -169,12 +166,6 @@ class DynamixelBus:
         """The model number of a servo; raises NoReply if there is none."""
         servo_id = operator.index(servo_id)
         return self._owned(lambda: self._ping(servo_id))
-
-    def ping_all(self) -> dict[int, int]:
-        """Model number of each servo that answers a ping to all; protocol 2.0 only. Takes 0.8 s of real time."""
-        if self.protocol != 2.0:
-            raise DriverError(f"{self.where}: one ping for all servos is protocol 2.0's; ping each id")
-        return self._owned(self._line.ping_all)
 
     def model(self, servo_id: int) -> ServoModel:
         """The model of a servo, asked for once; raises DriverError for one whose control table isn't here."""

@@ -19,9 +19,9 @@ from drivers.sdk_fence import BITS_PER_BYTE, FencedPort, Status, make_handler
 from drivers.status_errors import alarm_bits, damaged, refusals
 
 T = TypeVar("T")
+ATTEMPTS = 3  # of every exchange
 _MAX_PACKET_BYTES = 250  # TXPACKET_MAX_LEN of the SDK in protocol 1.0; it allows 1024 in 2.0, more than some servos do
 _INSTRUCTION_PING, _INSTRUCTION_REBOOT = 0x01, 0x08
-_BROADCAST_ID, _LAST_ID = 0xFE, 252
 _BROADCAST_BYTES = {1.0: 8, 2.0: 14}  # a sync write without its data
 _STATUS_BYTES = {1.0: 6, 2.0: 11}  # a status packet without data
 # Reads from address 0 of sizes that nothing else asks for, so that their replies can be told; used in turn, so that the
@@ -30,8 +30,6 @@ MARKER_BYTES = (5, 7, 9, 13)
 _LONGEST_DELAY_NS = 508_000  # e-manual, Return Delay Time: 254 units of 2 us
 # ms. After a group read that went wrong: the pause after which nobody is answering it any more, beside the wire time.
 _QUIET_MS = 5.0
-# ms. A servo answers a ping of all this long after the one with the id before (the SDK's own allowance).
-_BROADCAST_PING_MS, _BROADCAST_PING_MARGIN_MS = 3.0, 16.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,7 +45,6 @@ class Line:
     """One port in one protocol; not safe to use from several threads.
 
     Args:
-        attempts: how often an exchange is tried.
         labels: name of the joint of each servo, for the messages; may grow later.
 
     Attributes:
@@ -55,14 +52,12 @@ class Line:
         alarms: alarm bits of the last status packet of each servo that had any.
     """
 
-    def __init__(
-        self, port: FencedPort, protocol: float, clock: Clock, *, attempts: int, labels: Mapping[int, str]
-    ) -> None:
+    def __init__(self, port: FencedPort, protocol: float, clock: Clock, *, labels: Mapping[int, str]) -> None:
         self.where = f"{port.path} at {port.baudrate} baud, protocol {protocol:.1f}"
         self.counts = dict.fromkeys(("timeouts", "corrupt", "unexpected", "echoes", "retries", "fallbacks"), 0)
         self.alarms: dict[int, int] = {}
         self._port, self._protocol, self._clock = port, protocol, clock
-        self._attempts, self._labels = attempts, labels
+        self._labels = labels
         self._handler = make_handler(protocol)
         # Failures so far, and how many there had been when each servo last had nothing more to say. A late reply may be
         # under another's id: after a failure all servos are in doubt.
@@ -86,20 +81,6 @@ class Line:
         status = self._retry(servo_id, ask, settle=False)  # a servo may answer pings alone
         data = status.parameters[:2] if size else self.read(servo_id, 0, 2).data
         return int.from_bytes(data, "little")
-
-    def ping_all(self) -> dict[int, int]:
-        """Model number of every servo that answers one ping to all (protocol 2.0); waits until the last could have."""
-        self._transmit(lambda: self._send_plain(_BROADCAST_ID, _INSTRUCTION_PING))
-        wire_ms = 1000 * (_LAST_ID + 1) * (_STATUS_BYTES[2.0] + 3) * BITS_PER_BYTE / self._port.baudrate
-        self._port.setPacketTimeoutMillis(wire_ms + _BROADCAST_PING_MS * _LAST_ID + _BROADCAST_PING_MARGIN_MS)
-        found: dict[int, int] = {}
-        while (got := self._receive())[1] != COMM_RX_TIMEOUT:
-            status, result = got
-            if result != COMM_SUCCESS or status is None:
-                self.counts["corrupt"] += 1
-            elif len(status.parameters) == 3:
-                found[status.servo_id] = int.from_bytes(status.parameters[:2], "little")
-        return found
 
     def reboot(self, servo_id: int) -> None:
         """Restart a servo (protocol 2.0)."""
@@ -212,7 +193,7 @@ class Line:
 
     def _retry(self, servo_id: int, attempt: Callable[[], T], *, settle: bool = True) -> T:
         """Do an exchange, as often as is allowed."""
-        for left in reversed(range(self._attempts)):
+        for left in reversed(range(ATTEMPTS)):
             try:
                 if settle and self._in_doubt(servo_id):
                     self._settle(servo_id)

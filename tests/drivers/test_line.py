@@ -201,13 +201,6 @@ def test_the_echo_of_a_question_that_was_given_up_is_no_answer_to_the_next() -> 
         assert bus.errors["retries"] == 2
 
 
-def test_one_ping_finds_all_servos_of_protocol_2() -> None:
-    with station("XM430-W350", 2.0, ids=(1, 7, 42)) as (bus, _):
-        assert bus.ping_all() == dict.fromkeys((1, 7, 42), 1020)
-    with station("AX-18A", 1.0) as (bus, _), pytest.raises(DriverError, match=r"protocol 2\.0's; ping each id"):
-        bus.ping_all()
-
-
 def test_a_reboot_ends_an_alarm_of_protocol_2() -> None:
     with station("XM430-W350", 2.0) as (bus, emulated):
         emulated.raise_alarm(1, "overload")
