@@ -356,23 +356,19 @@ def _speed_units(joint: JointConfig, servo: ServoConfig, speed: float) -> int:
 
 
 def _reader(servo: ServoConfig) -> Callable[[Block], ServoState]:
-    """Turns a servo's status registers into quantities; what the table says of them is looked up once."""
+    """Turns a servo's status registers into quantities; its table is looked into once, not at each reading."""
     model = servo.table
     position, speed, effort, voltage, temperature = model.status_registers
-    per_speed, per_volt, per_degree = (
-        (unit.per_count if (unit := model.registers[name].unit) else 1.0) for name in (speed, voltage, temperature)
-    )
-    zeros = [model.registers[name].zero for name in (speed, voltage, temperature)]
-    per_load = model.load_share(effort, 1) - model.load_share(effort, 0)
+    rad_s, volts, degrees = (model.registers[name].physical for name in (speed, voltage, temperature))
 
     def read(block: Block) -> ServoState:
         values = block.values
         return ServoState(
             count=values[position],
-            speed_rad_s=(values[speed] - zeros[0]) * per_speed,
-            load=values[effort] * per_load,
-            voltage_v=(values[voltage] - zeros[1]) * per_volt,
-            temperature_c=(values[temperature] - zeros[2]) * per_degree,
+            speed_rad_s=rad_s(values[speed]),
+            load=model.load_share(effort, values[effort]),
+            voltage_v=volts(values[voltage]),
+            temperature_c=degrees(values[temperature]),
         )
 
     return read

@@ -88,6 +88,11 @@ class JointConfig:
         for servo in self.servos[1:]:
             _check_follower(self.name, leader, servo)
 
+    def counts(self, servo: ServoConfig) -> tuple[int, int]:
+        """The least and the greatest goal that one of its servos can get."""
+        low, high = sorted(servo.count(q) for q in (self.lower, self.upper))
+        return low, high
+
     def text(self, q: float) -> str:
         """A state as people write it: degrees or millimetres."""
         return f"{math.degrees(q):.2f} deg" if self.unit == "rad" else f"{q * 1e3:.2f} mm"

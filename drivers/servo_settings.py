@@ -108,7 +108,7 @@ def _check_limits(bus: DynamixelBus, joint: JointConfig, servo: ServoConfig, mod
     if not servo.takes_goals or mode_name(bus, servo.id, model) != LIMITED_MODE:
         return
     low, high = (bus.read(servo.id, name) for name in model.position_limit_registers)
-    ends = sorted(servo.count(q) for q in (joint.lower, joint.upper))
+    ends = joint.counts(servo)
     if ends[0] < low or ends[1] > high:
         raise ArmFault(
             f"servo {servo.id} ({joint.name}) on {bus.where} goes from count {low} to {high}, the joint's limits are "

@@ -232,7 +232,7 @@ def _position_limits(subject: Subject) -> Finding | None:
         return None  # no goals are sent to it, or its limits don't bind it
     low, high = (subject.read(name) for name in subject.model.position_limit_registers)
     joint, servo = subject.joint, subject.servo
-    want_low, want_high = sorted(servo.count(q) for q in (joint.lower, joint.upper))
+    want_low, want_high = joint.counts(servo)
     values = {"low_count": low, "high_count": high, "rig_low_count": want_low, "rig_high_count": want_high}
     if low <= want_low and want_high <= high:
         said = f"counts {low} to {high} hold the rig's {want_low} to {want_high}"
