@@ -1,9 +1,11 @@
-"""What every test is held to: no thread, file descriptor or listening port stays behind."""
+"""What every test is held to (no thread, file descriptor or listening port stays behind), and the command line."""
 
 from __future__ import annotations
 
 import gc
 import os
+import signal
+import sys
 import threading
 import time
 from collections.abc import Iterator
@@ -57,3 +59,23 @@ def leaves_nothing_behind(request: pytest.FixtureRequest) -> Iterator[None]:
         time.sleep(0.02)
     if left:
         pytest.fail(f"{request.node.name} left behind: {'; '.join(left)}")
+
+
+@pytest.fixture
+def station(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch):
+    """Runs the command line; returns its exit code, standard output and standard error."""
+
+    def call(*arguments: object) -> tuple[int, str, str]:
+        from station import cli
+
+        before = signal.getsignal(signal.SIGTERM)
+        monkeypatch.setattr(sys, "argv", ["station", *map(str, arguments)])
+        try:
+            with pytest.raises(SystemExit) as end:
+                cli.main()
+        finally:
+            signal.signal(signal.SIGTERM, before)
+        printed = capsys.readouterr()
+        return int(end.value.code or 0), printed.out, printed.err
+
+    return call

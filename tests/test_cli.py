@@ -15,36 +15,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from station import cli
 from station.formats.poses_csv import format_poses_csv
 from station.kinematics import se3
 from station.logs import PoseLog
 from station.recording import Recording
-from station.rig import packaged
+from station.rig_reading import packaged
 from station.session import read_status
 from tests.sessions import SHORT, capture_short, write_motion
 
 # Bytes of a recording that holds frames for certain.
 SOME_FRAMES = 300_000
-COMMANDS = ("demo", "run", "capture", "fit", "compare", "report", "view", "plan")
-
-
-@pytest.fixture
-def station(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch):
-    """Runs the command line; returns its exit code, standard output and standard error."""
-
-    def call(*arguments: object) -> tuple[int, str, str]:
-        before = signal.getsignal(signal.SIGTERM)
-        monkeypatch.setattr(sys, "argv", ["station", *map(str, arguments)])
-        try:
-            with pytest.raises(SystemExit) as end:
-                cli.main()
-        finally:
-            signal.signal(signal.SIGTERM, before)
-        printed = capsys.readouterr()
-        return int(end.value.code or 0), printed.out, printed.err
-
-    return call
+COMMANDS = ("demo", "run", "capture", "fit", "compare", "report", "view", "plan", "scan", "doctor", "emulate")
 
 
 @pytest.fixture(scope="module")

@@ -18,31 +18,12 @@ import pytest
 from drivers.clock import MonotonicClock, VirtualClock
 from drivers.dynamixel import DynamixelBus
 from drivers.emulator import EmulatedBus, EmulatedServo
-from station import cli
 from station.doctor.scanning import choose_settings, parse_ids
 from station.errors import StationError
 from tests.test_doctor import RIG
 
 WIDTH = 100
 CODE = "from station.cli import main; main()"
-
-
-@pytest.fixture
-def station(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch):
-    """Runs the command line; returns its exit code, standard output and standard error."""
-
-    def call(*arguments: object) -> tuple[int, str, str]:
-        before = signal.getsignal(signal.SIGTERM)
-        monkeypatch.setattr(sys, "argv", ["station", *map(str, arguments)])
-        try:
-            with pytest.raises(SystemExit) as end:
-                cli.main()
-        finally:
-            signal.signal(signal.SIGTERM, before)
-        printed = capsys.readouterr()
-        return int(end.value.code or 0), printed.out, printed.err
-
-    return call
 
 
 @contextmanager
