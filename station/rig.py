@@ -25,24 +25,8 @@ from station.errors import InvalidData
 from station.formats.rig import EMULATED, RENDERED, RigTable, load_calibration
 from station.formats.simulation import SimulatedCamera, SimulationTable
 from station.perception.markers import MarkerTable
-from station.rig_reading import joint_configs, packaged, packaged_names, read_rig
+from station.rig_reading import joint_configs, read_rig
 from station.stage import Stage
-
-__all__ = [
-    "EmulatedArm",
-    "Rig",
-    "RigFile",
-    "frame_size",
-    "joint_configs",
-    "load_rig",
-    "open_rig",
-    "packaged",
-    "packaged_names",
-    "read_rig",
-    "rendered_camera",
-    "safety_limits",
-    "virtual_reply_timeout_s",
-]
 
 # On a virtual clock a slow machine must not make a reply late: waits for one are then real time, and generous.
 VIRTUAL_REPLY_TIMEOUT_S = 10.0

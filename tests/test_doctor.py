@@ -26,7 +26,7 @@ from station.doctor.fixes import FIXES
 from station.doctor.port import UDEV_RULE, System, check_port
 from station.errors import StationError
 from station.formats.rig import RigTable, parse_rig
-from station.rig import packaged, packaged_names
+from station.rig_reading import packaged, packaged_names
 
 LATENCY_S = 0.03  # replies are waited for four times as long
 RIG = """

@@ -11,7 +11,8 @@ import pytest
 from station import commands
 from station.compare import Comparison
 from station.motion import Plan
-from station.rig import load_rig, packaged, packaged_names
+from station.rig import load_rig
+from station.rig_reading import packaged, packaged_names
 from tests.benchmarks.demo_seeds import rmse_deg
 
 NAMES = packaged_names("rigs")

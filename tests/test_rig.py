@@ -10,8 +10,8 @@ from calibration.intrinsics import CameraModel
 from drivers.errors import NoCamera, NoPort
 from station.errors import InvalidData, InvalidFile
 from station.formats.rig import load_calibration, parse_rig
-from station.rig import load_rig, open_rig, packaged, packaged_names
-from station.rig_reading import joint_configs
+from station.rig import load_rig, open_rig
+from station.rig_reading import joint_configs, packaged, packaged_names
 from station.stage import Stage, facing, look_at, mechanism
 
 DEMO = packaged("rigs", "demo").read_text(encoding="utf-8")

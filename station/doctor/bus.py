@@ -19,7 +19,8 @@ from station.doctor.fixes import STATUS_LEVEL, Change, fix_servo, fix_status_lev
 from station.doctor.joints import check_joint
 from station.doctor.servos import Subject, check_presence, check_servo
 from station.formats.rig import RigTable
-from station.rig import joint_configs, safety_limits
+from station.rig import safety_limits
+from station.rig_reading import joint_configs
 
 WHERE = "port"
 

@@ -20,17 +20,13 @@ from station.doctor.disk import BYTES_PER_PX, check_disk
 from station.doctor.finding import Finding, Verdict, blocks
 from station.doctor.fixes import Change, check_fixes
 from station.doctor.port import System, check_port
+from station.emulated_arm import EmulatedArm
 from station.errors import InvalidFile
 from station.formats.rig import EMULATED, RENDERED, RigTable, load_calibration
 from station.formats.simulation import SimulationTable
 from station.perception.jpeg import encode_jpeg
-from station.rig import (
-    EmulatedArm,
-    frame_size,
-    read_rig,
-    rendered_camera,
-    virtual_reply_timeout_s,
-)
+from station.rig import frame_size, rendered_camera, virtual_reply_timeout_s
+from station.rig_reading import read_rig
 from station.stage import Stage
 
 NOT_ASKED = Finding("servos", "answer", Verdict.BLOCKS, "not asked: the port can't be used")

@@ -11,9 +11,9 @@ from drivers.probe import Setting
 from drivers.scan import ALL_IDS, Found, known_settings
 from drivers.serial_ports import DEFAULT_LATENCY_MS, check_free, describe_ports, read_latency_ms
 from station.doctor.expectation import Match, rig_setting
+from station.emulated_arm import EmulatedArm
 from station.errors import StationError
 from station.formats.rig import EMULATED, RigTable
-from station.rig import EmulatedArm
 
 UNEXPECTED = "unexpected"
 AS_EXPECTED = "as expected"

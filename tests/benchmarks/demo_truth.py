@@ -13,9 +13,10 @@ from unittest import mock
 import numpy as np
 
 from station import commands
+from station.emulated_arm import EmulatedArm
 from station.fit_files import read_fit
 from station.kinematics import se3
-from station.rig import EmulatedArm, load_rig
+from station.rig import load_rig
 from station.stage import Stage
 from tests.benchmarks.demo_seeds import BODIES, JOINTS
 

@@ -16,7 +16,8 @@ from station import commands
 from station.fit_files import read_fit
 from station.formats.rig import RigTable
 from station.kinematics.tree import KinematicTree
-from station.rig import load_rig, packaged_names
+from station.rig import load_rig
+from station.rig_reading import packaged_names
 from tests.benchmarks.demo_seeds import rmse_deg
 
 
