@@ -14,6 +14,8 @@ from pathlib import Path
 import hypothesis
 import pytest
 
+# A shell that runs the tests in the background has them ignore SIGINT, which some of them send.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 # No deadline for an example: machines differ, and a timing is no test.
 hypothesis.settings.register_profile("station", deadline=None)
 hypothesis.settings.load_profile("station")
