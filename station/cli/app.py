@@ -16,6 +16,14 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 
+# Its commands join it as those of the application do; it joins the application when it has one.
+calibrate = typer.Typer(
+    name="calibrate",
+    help="Calibrate the camera, the servos' zeros, the camera's latency.",
+    no_args_is_help=True,
+    rich_markup_mode=None,
+)
+
 
 def _print_version(asked: bool) -> None:
     if asked:
