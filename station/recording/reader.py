@@ -47,6 +47,8 @@ T = TypeVar("T")
 Batches = Mapping[str, Sequence[pa.RecordBatch]]
 
 NS_PER_S = 1e9
+# float64 holds every whole number below this.
+EXACT_NS = 1 << 53
 READ_SCHEMAS = (SESSION_SCHEMA,)
 
 
@@ -247,7 +249,10 @@ ADDED = ("corner_covariance_px2",)
 
 
 def _seconds(nanoseconds: IntArray) -> FloatArray:
-    return nanoseconds.astype(np.float64) / NS_PER_S
+    """Seconds to the last digit, also since 1970: beyond 2^53 ns, whole seconds and the rest are converted apart."""
+    whole, rest = np.divmod(nanoseconds, int(NS_PER_S))
+    exact = np.abs(nanoseconds) < EXACT_NS
+    return np.where(exact, nanoseconds / NS_PER_S, whole + rest / NS_PER_S)
 
 
 def _description(batches: Sequence[pa.RecordBatch]) -> tuple[str, int, SessionDescription]:
