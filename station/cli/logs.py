@@ -84,3 +84,42 @@ def _marker_row(row: MarkerRow) -> list[str]:
         "" if row.tilt_deg is None else f"{row.tilt_deg:.0f}",
         "" if row.rms_px is None else f"{row.rms_px:.3f}",
     ]
+
+
+@app.command()
+def export(
+    source: Annotated[
+        Path,
+        typer.Argument(metavar="INPUT", help="Session, recording.rrd, fit folder, log of poses, or calibration."),
+    ],
+    out: Annotated[
+        Path, typer.Option("--out", help="File, whose ending tells the format; or a folder.", show_default=False)
+    ],
+    what: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--what",
+            help="poses, states, commands, readings, tree, observations, camera or images; may be repeated.",
+            show_default=False,
+        ),
+    ] = None,
+    format_: Annotated[
+        str | None,
+        typer.Option("--format", help="csv, tum, parquet, urdf, json, mcap, toml, opencv, ros.", show_default=False),
+    ] = None,
+    force: Force = False,
+    as_json: Json = False,
+) -> None:
+    """Write what an input has in the formats of others.
+
+    A session becomes poses.csv, TUM files (one a part), Parquet or MCAP; a fit becomes URDF; a calibration becomes
+    OpenCV's or ROS's.
+    """
+    from station import export_commands
+
+    written = export_commands.export(source, out, what=what or (), format=format_, force=force)
+    if as_json:
+        print(json.dumps({"files": [str(path) for path in written]}))
+    else:
+        for path in written:
+            print(path)

@@ -128,6 +128,16 @@ class Recording:
             raise InvalidFile(f"{self.path} has no image of frame {row}; its markers are there")
         return jpeg
 
+    def frame_jpegs(self) -> Iterator[tuple[int, bytes]]:
+        """Each frame that is kept, in order: nanoseconds since the session's start, and its JPEG.
+
+        Raises:
+            InvalidFile: the file is damaged.
+        """
+        framing = scan_framing(self.path)
+        with _rerun_errors(self.path), _readable(self.path, framing) as source:
+            yield from _images(_stream(source, framing))
+
     def frame_image(self, row: int) -> NDArray[np.uint8]:
         """The frame in this row of `observations.t_s`, decoded: (H, W, 3) BGR."""
         import cv2
@@ -203,6 +213,15 @@ def _find_image(stream: LazyChunkStream, elapsed_ns: int) -> bytes | None:
         if hits.size:
             return _blob(batch.column(BLOB)[int(hits[0])])
     return None
+
+
+def _images(stream: LazyChunkStream) -> Iterator[tuple[int, bytes]]:
+    """Time since the start (ns) and JPEG of each frame, as the chunks have them: in the order of writing."""
+    for chunk in stream.filter(content=f"/{IMAGE}", is_static=False, components=BLOB):
+        batch = chunk.to_record_batch()
+        times = batch.column(ELAPSED).cast(pa.int64()).to_pylist()
+        for row, elapsed_ns in enumerate(times):
+            yield elapsed_ns, _blob(batch.column(BLOB)[row])
 
 
 def _batches(stream: LazyChunkStream) -> Batches:
