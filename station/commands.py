@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from calibration.lag import combined_lag
 from station.compare import Comparison
 from station.compare import compare as compare_logs
 from station.comparison_files import write_comparison
@@ -28,7 +29,6 @@ from station.formats.read import read_commands, read_pose_log
 from station.formats.rig import parse_rig
 from station.formats.text import read_text
 from station.kinematics.tree import KinematicTree
-from station.lag import combined_lag
 from station.logs import FloatArray, JointLog, PoseLog
 from station.motion import JointLimits, Plan, plan_motion
 from station.session import (
@@ -128,14 +128,42 @@ def capture(
         StationError: a bad rig or motion, an occupied folder, a recording that can't be written.
         DriverError: what the arm or the camera failed at; the session is then "interrupted".
     """
-    from station.capture import Capture
-    from station.recording import RecordingWriter
-    from station.rig import load_rig, open_rig
-    from station.view import session_blueprint
+    from station.rig import load_rig
 
     rig_file = load_rig(rig)
     planned, motion_text = _plan(rig_file, motion)
     check_output_folder(out, force=force)
+    return record_motion(
+        rig_file,
+        planned,
+        motion_text,
+        out,
+        seed=seed,
+        simulate=simulate,
+        realtime=realtime,
+        force=force,
+        progress=progress,
+    )
+
+
+def record_motion(
+    rig_file: RigFile,
+    planned: Plan,
+    motion_text: str,
+    out: Path,
+    *,
+    seed: int | None = None,
+    simulate: bool = False,
+    realtime: bool = False,
+    force: bool = False,
+    progress: Progress | None = None,
+) -> CaptureCounts:
+    """Run a planned motion on a rig into the session folder `out`; settings and errors as for `capture`."""
+    from station.capture import Capture
+    from station.recording import RecordingWriter
+    from station.rig import open_rig
+    from station.view import session_blueprint
+
     joints = tuple(joint.name for joint in planned.joints)
     with open_rig(rig_file, simulate=simulate, realtime=realtime, seed=seed) as opened:
         description = SessionDescription(
