@@ -111,16 +111,8 @@ class FrameWorker:
 
     def _record(self, frame: Frame) -> None:
         found = self._detector.detect(frame.image)
-        ids, corners_px, poses = observe(found, self._rig.markers, self._rig.camera_model)
-        self._writer.log_frame(
-            frame.index,
-            frame.t_ns,
-            frame.image,
-            marker_id=ids,
-            corners_px=corners_px,
-            T_cam_marker=poses.T_cam_marker,
-            rms_px=poses.rms_px,
-        )
+        markers = observe(found, self._rig.markers, self._rig.camera_model)
+        self._writer.log_frame(frame.index, frame.t_ns, frame.image, markers)
         self.recorded += 1
 
 
