@@ -45,6 +45,8 @@ ROUNDS = 2
 LEAST_SIGMA_PX = 0.02
 # s. Between the knots beyond either end of the read-back: next to nothing, so that the spline ends where it does.
 END_KNOTS_S = 1e-9
+# Of the squared speeds of a sweep's coordinates: what functions of the joint's state must leave, or it tells nothing.
+LEAST_SHARE = 0.1
 # A latency of which less is known than this is no result.
 WORST_STD_S = 0.01
 # Joints that disagree by more than this many standard deviations, and by this much, are worth a word.
@@ -133,6 +135,7 @@ def estimate_latency(sweeps: Sequence[Sweep], *, reply_s: float = 0.0, span_s: f
             f"no latency within {span_s:g} s makes the markers' motion that of the joints\n"
             "look whether the markers on what moves are in view, and whether the read-back is that of this arm"
         )
+    signals = [signal for signal in signals if _to_and_fro(signal, coarse_s)]
     joints = [
         _joint_latency(name, [signal for signal in signals if signal.joint == name], coarse_s, frame_s)
         for name in dict.fromkeys(signal.joint for signal in signals)
@@ -142,6 +145,7 @@ def estimate_latency(sweeps: Sequence[Sweep], *, reply_s: float = 0.0, span_s: f
 
 def _combined(joints: Sequence[JointLatency], reply_s: float) -> Latency:
     together = combined_lag(joints)
+    usual_s = float(np.median([joint.lag_s for joint in joints])) if joints else np.nan
     if together is None or together[1] > WORST_STD_S:
         said = "" if together is None else f" to better than {together[1] * 1e3:.0f} ms"
         raise CalibrationError(
@@ -153,7 +157,7 @@ def _combined(joints: Sequence[JointLatency], reply_s: float) -> Latency:
         f"{joint.joint} alone says {joint.lag_s * 1e3:.1f} ms: its read-back or its link lags otherwise than the rest"
         for joint in joints
         if joint.lag_std_s is not None
-        and abs(joint.lag_s - latency_s) > max(DISAGREEING_SIGMAS * joint.lag_std_s, DISAGREEING_S)
+        and abs(joint.lag_s - usual_s) > max(DISAGREEING_SIGMAS * joint.lag_std_s, DISAGREEING_S)
     )
     return Latency(latency_s, std_s, tuple(joints), warnings)
 
@@ -325,9 +329,7 @@ def _variance(signals: Sequence[_Signals], lag_s: float) -> float | None:
     information, scores, weights = 0.0, list[FloatArray](), list[FloatArray]()
     for each in signals:  # sweeps differ in their frames
         fit = _fit(each, lag_s)
-        slope = chebyshev.chebval(fit.q, chebyshev.chebder(fit.coefficients.T)[:, None], tensor=False)
-        moved = np.nan_to_num(each.rate(each.t_s - lag_s)) * np.asarray(slope)
-        alone = fit.projected(np.where(fit.used, moved, 0.0))
+        alone = fit.projected(_moved(each, fit, lag_s))
         information += float(np.sum(alone**2))
         weights.append(np.sum(alone**2, axis=1))
         scores.append(np.sum(alone * fit.residual, axis=1)[fit.used.any(axis=1)])
@@ -338,6 +340,19 @@ def _variance(signals: Sequence[_Signals], lag_s: float) -> float | None:
     frames = information**2 / float(np.sum(np.concatenate(weights) ** 2))  # as many as tell something
     spread = max(correlated, float(np.sum(series**2))) * frames / max(frames - DEGREE - 2, 1.0)
     return max(spread / information**2, _rounding_variance(signals))
+
+
+def _moved(signals: _Signals, fit: _Fit, lag_s: float) -> FloatArray:
+    """(F, S) speed of each coordinate, per second; zero where unused."""
+    slope = chebyshev.chebval(fit.q, chebyshev.chebder(fit.coefficients.T)[:, None], tensor=False)
+    return np.where(fit.used, np.nan_to_num(signals.rate(signals.t_s - lag_s)) * np.asarray(slope), 0.0)
+
+
+def _to_and_fro(signals: _Signals, lag_s: float) -> bool:
+    """Whether a sweep tells a latency: at a steady speed one way, functions of the state can take up any."""
+    fit = _fit(signals, lag_s)
+    moved = _moved(signals, fit, lag_s)
+    return bool(np.sum(fit.projected(moved) ** 2) > LEAST_SHARE * np.sum(moved**2) > 0)
 
 
 def _rounding_variance(signals: Sequence[_Signals]) -> float:

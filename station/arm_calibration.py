@@ -54,6 +54,11 @@ class CameraLatency:
         return round(self.found.latency_s, 4)
 
     @property
+    def agrees(self) -> bool:
+        """Whether the rig has it within two standard deviations, or a tenth of a millisecond."""
+        return abs(self.present_s - self.found.latency_s) <= max(2 * self.found.std_s, 1e-4)
+
+    @property
     def line(self) -> str:
         """The line of the rig's [camera]."""
         return f"latency_s = {self.value_s!r}"
@@ -128,15 +133,20 @@ def _reply_s(recording: Recording) -> float:
     return took_s / max(len(recording.measured.joints), 1)
 
 
+def check_writable(rig: str) -> None:
+    """Raise StationError for a packaged rig: it is left as it is."""
+    if rig in packaged_names("rigs"):
+        path = packaged("rigs", rig)
+        raise StationError(
+            f"'{rig}' comes with the package and is left as it is\ncopy {path} to a file of your own, and name that"
+        )
+
+
 def write_into_rig(rig: str, values: dict[Key, int | float]) -> Path:
     """Write numbers into a rig's file; the old file is kept beside it, and its path returned.
 
     Raises:
         StationError: a packaged rig, or a file in which they can't be changed safely.
     """
-    path = packaged("rigs", rig)
-    if rig in packaged_names("rigs"):
-        raise StationError(
-            f"'{rig}' comes with the package and is left as it is\ncopy {path} to a file of your own, and name that"
-        )
-    return rewrite(path, values)
+    check_writable(rig)
+    return rewrite(Path(rig), values)

@@ -22,7 +22,9 @@ Write = Annotated[bool, typer.Option("--write", help="Write the result into the 
 def latency(
     source: Annotated[
         str,
-        typer.Argument(metavar="RIG|SESSION", help="Rig whose joints are swung, or a session in which they moved alone."),
+        typer.Argument(
+            metavar="RIG|SESSION", help="Rig whose joints are swung, or a session in which they moved alone."
+        ),
     ],
     out: Annotated[
         Path | None, typer.Option("--out", help="Session folder of a rig's swings; new or empty.", show_default=False)
@@ -40,7 +42,7 @@ def latency(
     """Measure how late the camera's frames are, against the servos' read-back.
 
     Of a rig: the arm MOVES. Each joint swings by up to 15 degrees to either side of the park pose, one after the other,
-    within all limits. Needs markers on what moves, no calibrated camera.
+    within all limits. Needs markers on what moves.
     """
     from station import arm_calibration
     from station.errors import InvalidData
@@ -52,6 +54,8 @@ def latency(
         raise InvalidData(f"'{source}' is no session: to swing the joints of a rig, name a folder with --out")
     if not of_rig and write:
         raise InvalidData("a session doesn't know where its rig's file is: put the line into it by hand")
+    if write:
+        arm_calibration.check_writable(source)
     with progress() as bar:
         if of_rig and out is not None:
             bar.stage("swing")
@@ -75,16 +79,15 @@ def latency(
     if write:
         kept = arm_calibration.write_into_rig(source, {("camera", "latency_s"): result.value_s})
         say_next(f"written into {source}; the old file is {kept}")
-    elif round(result.present_s, 4) != result.value_s:
+    elif not result.agrees:
         say_next(f"put this line under [camera]{f' in {source}' if of_rig else ' in the rig'}:", f"  {result.line}")
 
 
 def _show_latency(result: CameraLatency) -> None:
     found = result.found
     print(f"latency_s = {found.latency_s:.4f} +- {found.std_s:.4f} s")
-    apart_s = found.latency_s - result.present_s
-    fits = "agrees with that" if abs(apart_s) <= max(2 * found.std_s, 1e-4) else f"is off by {apart_s * 1e3:+.1f} ms"
-    print(f"the rig says {result.present_s:.4f} s, which {fits}")
+    apart_ms = (result.present_s - found.latency_s) * 1e3
+    print(f"the rig says {result.present_s:.4f} s, which {'agrees' if result.agrees else f'is {apart_ms:+.1f} ms off'}")
     rows = [["joint", "latency [ms]", "std [ms]", "frames"]]
     for each in found.joints:
         std = "" if each.lag_std_s is None else f"{each.lag_std_s * 1e3:.2f}"

@@ -110,7 +110,7 @@ def _set(lines: list[str], key: Key, value: int | float, name: str) -> None:
             return
         if body.strip() and not body.lstrip().startswith("#"):
             last = at + 1
-    ending = "\r\n" if lines[last - 1].endswith("\r\n") else "\n"
+    ending = "\r\n" if lines[0].endswith("\r\n") else "\n"
     if not lines[last - 1].endswith("\n"):
         lines[last - 1] += ending
     lines.insert(last, f"{key[-1]} = {value!r}{ending}")
