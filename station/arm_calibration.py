@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from calibration.latency import Latency, estimate_latency
+from calibration.servo_zeros import ServoZero, find_zeros
 from station.commands import record_motion
 from station.errors import InvalidData, StationError
 from station.formats.camera import parse_camera
@@ -17,16 +18,18 @@ from station.formats.rig import parse_rig
 from station.formats.toml_edit import Key, rewrite
 from station.lone_motion import lone_sweeps, swinging_motion
 from station.motion import plan_motion
-from station.rig_reading import packaged, packaged_names
+from station.reference_pose import Ask, open_bus, read_counts, reference_joints, reference_states, release
+from station.rig_reading import packaged, packaged_names, read_rig
 from station.session import check_output_folder
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from station.capture import Progress
     from station.recording import Recording
 
 MOTION_NAME = "one joint at a time"
+HOLD = "Bear its weight, or let it rest against a stop; hold it still"
 # s. A read-back that takes longer a servo is stamped no better than by half of it.
 SLOW_REPLY_S = 0.004
 SLOW_REPLY = (
@@ -131,6 +134,59 @@ def _reply_s(recording: Recording) -> float:
     """From request to reply of one joint: they share the time of a reading of all."""
     took_s = float(np.median(np.diff(recording.stamps_ns, axis=1))) * 1e-9
     return took_s / max(len(recording.measured.joints), 1)
+
+
+@dataclass(frozen=True)
+class ServoZeros:
+    """The zeros of a rig's servos, in the order of the rig, and where each belongs in the file.
+
+    Attributes:
+        units: of each servo's joint, "rad" or "m".
+        pose: what the joints were taken to be at, in words.
+    """
+
+    zeros: tuple[ServoZero, ...]
+    units: tuple[str, ...]
+    keys: tuple[Key, ...]
+    pose: str
+
+    @property
+    def problems(self) -> tuple[str, ...]:
+        """Why they can't be used, in words."""
+        return tuple(problem for zero in self.zeros for problem in zero.problems)
+
+    @property
+    def values(self) -> dict[Key, int | float]:
+        """What is to be written where."""
+        return {key: zero.zero for key, zero in zip(self.keys, self.zeros, strict=True)}
+
+
+def servo_zeros(rig: str, *, pose: Mapping[str, float], ask: Ask, simulate: bool = False) -> ServoZeros:
+    """Find the servos' zeros while a person holds the arm in a reference pose; torque is off, and stays off.
+
+    Args:
+        rig: the name of a packaged one, or a path.
+        pose: where joints are held, deg or mm by name; those that aren't given are held at zero.
+        ask: tells the person what happens next and returns when it may; raises if it may not.
+        simulate: the emulated bus whatever the rig names.
+
+    Raises:
+        StationError: a bad rig, a pose outside the limits.
+        CalibrationError: the arm moved while it was read.
+        DriverError: a servo that isn't there, or another than the rig says.
+    """
+    table, _, path = read_rig(rig)
+    states = reference_states(table.limits(), pose)
+    said = ", ".join(f"{joint.name} {joint.text(q)}" for joint, q in zip(table.limits(), states, strict=True))
+    with open_bus(table, str(path), simulate=simulate) as opened:
+        joints = reference_joints(opened, states)
+        release(opened.arm, ask)
+        ask(f"put the arm into its reference pose: {said}. {HOLD}")
+        counts = read_counts(opened)
+    zeros = find_zeros(joints, counts, disagreement_rad=float(np.radians(table.safety.disagreement_deg)))
+    keys = [("joint", j, "servo", s, "zero") for j, joint in enumerate(joints) for s in range(len(joint.servos))]
+    units = tuple(joint.unit for joint in joints for _ in joint.servos)
+    return ServoZeros(zeros, units, tuple(keys), said)
 
 
 def check_writable(rig: str) -> None:

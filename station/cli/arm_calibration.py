@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from station.cli.app import calibrate
-from station.cli.options import Force, Json, Realtime, Seed, Simulate
-from station.cli.show import progress, say_next, table, warn
+from station.cli.options import Force, Json, Realtime, RigArgument, Seed, Simulate, Yes
+from station.cli.show import asking, progress, say_next, table, warn
 
 if TYPE_CHECKING:
-    from station.arm_calibration import CameraLatency
+    from station.arm_calibration import CameraLatency, ServoZeros
 
 Write = Annotated[bool, typer.Option("--write", help="Write the result into the rig; the old file is kept beside it.")]
 
@@ -108,4 +108,84 @@ def _latency_document(result: CameraLatency) -> dict[str, object]:
             for each in result.found.joints
         ],
         "warnings": list(result.warnings),
+    }
+
+
+@calibrate.command()
+def servos(
+    rig: RigArgument,
+    pose: Annotated[
+        list[str] | None,
+        typer.Option("--pose", metavar="JOINT=DEG", help="Where a joint is held (deg, mm); 0 if left out; repeatable."),
+    ] = None,
+    yes: Yes = False,
+    write: Write = False,
+    simulate: Simulate = False,
+    as_json: Json = False,
+) -> None:
+    """Find the servos' zeros: a person holds the arm in a reference pose.
+
+    Torque goes OFF and stays off: an arm that was held DROPS. You are asked before, and again when the arm is in its
+    pose. Exit code 1 if a zero can't be used.
+    """
+    from station import arm_calibration
+    from station.errors import StationError
+
+    given = _pose(pose or [])
+    if write:
+        arm_calibration.check_writable(rig)
+    result = arm_calibration.servo_zeros(rig, pose=given, ask=asking(yes), simulate=simulate)
+    if as_json:
+        print(json.dumps(_zeros_document(result), allow_nan=False))
+    else:
+        _show_zeros(result)
+    for warning in (text for zero in result.zeros for text in zero.warnings):
+        warn(warning)
+    if result.problems:
+        raise StationError("\n".join(["these zeros can't be used", *result.problems]))
+    if write:
+        say_next(f"written into {rig}; the old file is {arm_calibration.write_into_rig(rig, result.values)}")
+    else:
+        lines = (f"  zero = {zero.zero:<6} # servo {zero.servo_id}, {zero.joint}" for zero in result.zeros)
+        say_next(f"put these into each [[joint.servo]] of {rig}, or use --write:", *lines)
+
+
+def _pose(given: list[str]) -> dict[str, float]:
+    from station.errors import InvalidData
+
+    pose: dict[str, float] = {}
+    for text in given:
+        joint, _, value = text.partition("=")
+        try:
+            pose[joint.strip()] = float(value)
+        except ValueError:
+            raise InvalidData(f"--pose {text}: want a joint and where it is held, such as elbow=90") from None
+    return pose
+
+
+def _show_zeros(result: ServoZeros) -> None:
+    rows = [["joint", "servo", "zero", "moved by", "std", "spread [counts]"]]
+    for zero, unit in zip(result.zeros, result.units, strict=True):
+        scale, name = (57.29577951308232, "deg") if unit == "rad" else (1e3, "mm")
+        moved, std = f"{scale * zero.moved:+.2f} {name}", f"{scale * zero.std:.2f} {name}"
+        rows.append([zero.joint, str(zero.servo_id), str(zero.zero), moved, std, str(zero.spread_counts)])
+    table(f"Zeros with the arm held at {result.pose}", rows)
+
+
+def _zeros_document(result: ServoZeros) -> dict[str, object]:
+    return {
+        "servos": [
+            {
+                "joint": zero.joint,
+                "servo": zero.servo_id,
+                "zero": zero.zero,
+                "unit": unit,
+                "std": zero.std,
+                "moved": zero.moved,
+                "spread_counts": zero.spread_counts,
+                "problems": list(zero.problems),
+                "warnings": list(zero.warnings),
+            }
+            for zero, unit in zip(result.zeros, result.units, strict=True)
+        ]
     }
