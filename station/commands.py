@@ -315,8 +315,21 @@ def _compare(session: Path, commands: Path | None) -> tuple[Comparison, Recordin
     return comparison, recording, tree, states
 
 
-def report(session: Path, *, commands: Path | None = None) -> Comparison:
-    """Compare a session and write its report: Figure 7, the tables and report.html; raises StationError."""
+def report(session: Path, *, commands: Path | None = None) -> Comparison | None:
+    """Compare a session and write its report: Figure 7, the tables and report.html; raises StationError.
+
+    A session without commands, such as a video's, has nothing to be compared with: its report is the tree, the joints'
+    states and when the parts were seen, and None comes back.
+    """
+    from station.recording import Recording
+
+    if commands is None and not Recording.load(session).description.joints:
+        _report_without_commands(session)
+        return None
+    return _report_compared(session, commands)
+
+
+def _report_compared(session: Path, commands: Path | None) -> Comparison:
     from station.report import write_report
 
     comparison, recording, tree, states = _compare(session, commands)
@@ -325,6 +338,17 @@ def report(session: Path, *, commands: Path | None = None) -> Comparison:
     facts = _facts(session, recording) | ({"left alone": ", ".join(comparison.at_rest)} if comparison.at_rest else {})
     write_report(session / REPORT_FOLDER, comparison, tree, states, facts, viewing, warnings)
     return comparison
+
+
+def _report_without_commands(path: Path) -> None:
+    from station.report import Visibility, write_report
+
+    session, fitted = load_session(path), read_fit(path / FIT_FOLDER)
+    poses, recording = session.poses, session.recording
+    seen = Visibility(poses.t_s, poses.parts, poses.seen, np.degrees(session.viewing))
+    said = tuple(event.text for event in recording.events if event.level == "WARN")
+    warnings = (*recording.notices, *said, *fitted.tree.warnings)
+    write_report(path / REPORT_FOLDER, None, fitted.tree, fitted.states, _facts(path, recording), None, warnings, seen)
 
 
 def _viewing_of_joints(
@@ -379,7 +403,7 @@ def run(
     say("fit")
     fit(out)
     say("report")
-    return report(out)
+    return _report_compared(out, None)
 
 
 def view(session: Path) -> None:

@@ -12,7 +12,10 @@ from typing import NoReturn
 from station.cli import sessions  # noqa: F401 (its commands join the application)
 
 # isort: split
-from station.cli import bus  # noqa: F401 (after them, as `station --help` lists the commands)
+from station.cli import logs  # noqa: F401 (after them, as `station --help` lists the commands)
+
+# isort: split
+from station.cli import bus  # noqa: F401
 
 # isort: split
 from station.cli import arm_calibration  # noqa: F401 (its commands join `station calibrate`)

@@ -166,10 +166,20 @@ def compare(session: SessionArgument, commands_csv: Commands = None, as_json: Js
 
 @app.command()
 def report(session: SessionArgument, commands_csv: Commands = None, as_json: Json = False) -> None:
-    """Write a session's report: Figure 7, tables, the tree."""
-    from station import commands
+    """Write a session's report: Figure 7, tables, the tree.
 
-    _show_comparison(commands.report(session, commands=commands_csv), as_json)
+    Without commands, as for a video: the tree, the joints' states, when the parts were seen.
+    """
+    from station import commands
+    from station.compare import Comparison
+    from station.fit_files import read_fit
+    from station.session import FIT_FOLDER
+
+    comparison = commands.report(session, commands=commands_csv)
+    if comparison is not None or as_json:
+        _show_comparison(comparison or Comparison(()), as_json)
+    else:
+        _show_tree(read_fit(session / FIT_FOLDER).tree)
     say_next(f"report        {session / 'report' / 'report.html'}")
 
 

@@ -11,10 +11,10 @@ from pydantic import Field, field_validator, model_validator
 from calibration.errors import CalibrationError
 from calibration.intrinsics import CameraModel
 from station.errors import InvalidData, InvalidFile
-from station.formats.camera import CameraTable, parse_camera
+from station.formats.camera import CameraTable
+from station.formats.camera_files import read_camera
 from station.formats.markers import MarkersModel
 from station.formats.simulation import MM_PER_M, NotNegative, Positive, SimulationTable, check_simulation
-from station.formats.text import read_text
 from station.formats.toml_models import StrictModel, parse
 from station.logs import check_slugs
 from station.motion import JointLimits, Unit
@@ -200,7 +200,7 @@ def load_calibration(rig: RigTable, folder: Path, name: str) -> CameraModel:
             'give calibration = "camera.toml" under [camera], or an inline [camera.calibration]'
         )
     try:
-        camera = given.to_camera() if isinstance(given, CameraTable) else _read_camera(folder / given)
+        camera = given.to_camera() if isinstance(given, CameraTable) else read_camera(folder / given)
     except CalibrationError as error:
         raise InvalidFile(f"{name}, camera, calibration: {error}") from error
     if list(camera.size_px) != rig.camera.size_px:
@@ -210,7 +210,3 @@ def load_calibration(rig: RigTable, folder: Path, name: str) -> CameraModel:
             "calibrate at the size that is captured, or set size_px to the calibration's"
         )
     return camera
-
-
-def _read_camera(path: Path) -> CameraModel:
-    return parse_camera(read_text(path, "calibration"), str(path))
