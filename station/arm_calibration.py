@@ -18,8 +18,9 @@ from station.formats.rig import parse_rig
 from station.formats.toml_edit import Key, rewrite
 from station.lone_motion import lone_sweeps, swinging_motion
 from station.motion import plan_motion
-from station.reference_pose import Ask, open_bus, read_counts, reference_joints, reference_states, release
-from station.rig_reading import packaged, packaged_names, read_rig
+from station.reference_pose import open_bus, read_counts, reference_joints, reference_states
+from station.releasing import release
+from station.rig_reading import check_arm, packaged, packaged_names, read_rig
 from station.session import check_output_folder
 
 if TYPE_CHECKING:
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
 
     from station.capture import Progress
     from station.recording import Recording
+    from station.releasing import Ask
 
 MOTION_NAME = "one joint at a time"
 HOLD = "Bear its weight, or let it rest against a stop; hold it still"
@@ -91,6 +93,7 @@ def capture_swings(
     from station.rig import load_rig
 
     rig_file = load_rig(rig)
+    check_arm(rig_file.table, rig_file.name)
     limits = rig_file.table.limits()
     text = swinging_motion(limits, joints)
     planned = plan_motion(parse_motion(text, MOTION_NAME, limits), limits)
@@ -176,6 +179,7 @@ def servo_zeros(rig: str, *, pose: Mapping[str, float], ask: Ask, simulate: bool
         DriverError: a servo that isn't there, or another than the rig says.
     """
     table, _, path = read_rig(rig)
+    check_arm(table, str(path))
     states = reference_states(table.limits(), pose)
     said = ", ".join(f"{joint.name} {joint.text(q)}" for joint, q in zip(table.limits(), states, strict=True))
     with open_bus(table, str(path), simulate=simulate) as opened:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 
@@ -25,9 +25,6 @@ from station.rig_reading import joint_configs
 NS_PER_S = 1_000_000_000
 READINGS = 20
 BETWEEN_S = 0.05
-
-Ask = Callable[[str], None]
-"""Tells a person something and returns when it is done; raises if it is refused."""
 
 
 @dataclass(frozen=True)
@@ -84,13 +81,6 @@ def reference_states(limits: tuple[JointLimits, ...], pose: Mapping[str, float])
                 f"{joint.text(joint.upper)}\nsay where it is held: --pose {joint.name}=..."
             )
     return states
-
-
-def release(arm: Arm, ask: Ask) -> None:
-    """Switch torque off where it is on, after it was asked: what held the arm lets it drop."""
-    if holding := arm.holding():
-        ask(f"torque is on ({', '.join(holding)}): it will be switched off, and the arm DROPS. Hold it")
-    arm.torque_off()
 
 
 def read_counts(opened: OpenBus) -> dict[int, list[int]]:

@@ -9,6 +9,7 @@ import tomllib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -34,11 +35,11 @@ TRUE_ZEROS = {
 @pytest.fixture(autouse=True)
 def patient_bus(monkeypatch: pytest.MonkeyPatch) -> None:
     """On a machine with other work to do a reply of the emulator may take longer than one of a servo."""
-    monkeypatch.setattr(
-        reference_pose,
-        "DynamixelBus",
-        lambda port, **settings: DynamixelBus(port, **{**settings, "reply_timeout_s": 10.0}),
-    )
+
+    def bus(port: str, **settings: Any) -> DynamixelBus:
+        return DynamixelBus(port, **{**settings, "reply_timeout_s": 10.0})
+
+    monkeypatch.setattr(reference_pose, "DynamixelBus", bus)
 
 
 @contextmanager

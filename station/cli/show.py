@@ -116,7 +116,7 @@ def asking(yes: bool) -> Callable[[str], None]:
             return
         if not sys.stdin.isatty():
             raise InvalidData(f"nobody can be asked here\n{text}\nrun it on a terminal, or say --yes")
-        print(f"{text}, then press Enter (n: stop) ", end="", file=sys.stderr, flush=True)
+        say_next(f"{text}, then press Enter (n and Enter: stop)")  # a whole line: a bar may be under way
         if sys.stdin.readline().strip().lower() not in ("", "y", "yes"):
             raise InvalidData("stopped; nothing was changed")
 
