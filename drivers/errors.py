@@ -97,3 +97,23 @@ class NoCamera(CameraError):
 
 class CameraStalled(CameraError):
     """The camera stopped delivering frames."""
+
+
+class NoFrames(NoCamera):
+    """What should hold frames is there, and holds none: an empty file, no video, a folder without images."""
+
+
+class WrongSize(CameraError):
+    """A frame has another size than it must have."""
+
+
+class DamagedFrames(CameraError):
+    """Stored frames can't be read from some frame on.
+
+    Attributes:
+        frames: how many were read before.
+    """
+
+    def __init__(self, message: str, *, frames: int) -> None:
+        super().__init__(message)
+        self.frames = frames
