@@ -183,9 +183,9 @@ class CharucoBoard:
         white = (row + column + self._first_white) % 2 == 1
         return np.stack([column[white], row[white]], axis=-1)
 
-    def _on_paper(self, drawn: FloatArray) -> FloatArray:
+    def _on_paper(self, drawn: NDArray[np.floating]) -> FloatArray:
         """Points (..., 3) m on the printed paper of points (..., 2) as drawn."""
-        flat = drawn * np.array(self.stretch)
+        flat = np.asarray(drawn * np.array(self.stretch), np.float64)
         return np.concatenate([flat, np.zeros((*flat.shape[:-1], 1))], axis=-1)
 
 

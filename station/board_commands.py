@@ -85,7 +85,11 @@ def _ids(text: str) -> list[int]:
     ids: list[int] = []
     for part in text.split(","):
         first, _, last = part.strip().partition("-")
-        if not first.isdecimal() or not (last or first).isdecimal() or not int(first) <= int(last or first) <= LARGEST_ID:
+        if (
+            not first.isdecimal()
+            or not (last or first).isdecimal()
+            or not int(first) <= int(last or first) <= LARGEST_ID
+        ):
             raise InvalidData(f"ids '{text}': want numbers and ranges, such as 0-9,20")
         ids += range(int(first), int(last or first) + 1)
     return ids

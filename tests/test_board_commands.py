@@ -48,5 +48,5 @@ def test_a_board_file_reads_back_the_same():
     assert parse_board(format_board(board, measured=False), "b") == (board, False)
     printed = board.measured((99.5, 99.8))
     assert parse_board(format_board(printed, measured=True), "b") == (printed, True)
-    with pytest.raises(InvalidFile, match="b: the 100 mm ruler measures 9.95 mm"):
+    with pytest.raises(InvalidFile, match=r"b: the 100 mm ruler measures 9\.95 mm"):
         parse_board(format_board(board, measured=False) + "measured_mm = [9.95, 100.0]\n", "b")

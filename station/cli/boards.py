@@ -111,13 +111,13 @@ def _show_sheet(printed: PrintedSheet, sheet: CharucoBoard | MarkerSheet, as_jso
     if is_board:
         say_next(
             f"{sheet.said}; it is described in {printed.board_file}",
-            "next: print it at 100 % (not 'fit to page'), glue it flat on something stiff, measure both 100 mm rulers, say",
+            "next: print it at 100 % (not 'fit to page'), glue it flat on something stiff, measure both 100 mm rulers,",
             f"  station calibrate camera 0 --board {printed.board_file} --measured-mm 100.0x100.0 --out camera",
         )
     else:
         sizes = ", ".join(f"{mm:g} mm" for mm in sorted({marker.size_m * MM_PER_M for marker in sheet.markers}))
         say_next(
             f"{len(sheet.markers)} markers of {sheet.dictionary}, black squares of {sizes}",
-            "next: print them at 100 %, cut them out along the marks, and measure the 100 mm ruler: if it is not 100 mm,",
+            "next: print them at 100 %, cut them out along the marks, measure the 100 mm ruler: if it is not 100 mm,",
             "  put the measured sides of the black squares into the rig as size_mm",
         )
