@@ -90,7 +90,7 @@ def charuco_page(board: CharucoBoard, paper: str) -> Page:
 def _description(board: CharucoBoard) -> list[str]:
     return [
         f"ChArUco board: {board.said}, ids 0 to {board.marker_count - 1}",
-        "Print at 100 % (not 'fit to page'), glue it flat on something stiff, measure both rulers from first to last line.",
+        "Print at 100 % (not 'fit to page'), glue it flat on something stiff, measure both rulers from end to end.",
         f"station calibrate camera SOURCE --board {board.spec} --measured-mm ACROSSxDOWN --out DIR",
     ]
 
