@@ -23,6 +23,8 @@ IntArray = NDArray[np.int64]
 
 # A board of which fewer markers agree with its description isn't found.
 LEAST_MARKERS = 3
+# Nor one that fewer than this share of what is read agrees with: a board of other columns agrees in parts.
+AGREEING_SHARE = 0.6
 # Markers whose corners are further than this from where the others put them are mistaken ones, in sides of a square.
 STRAY_SQUARES = 0.3
 # A corner is predicted by this many markers, the nearest on the board, none further than so many squares.
@@ -81,15 +83,15 @@ class BoardFinder:
         ids, sides_px = read_markers(self._detector, grey)
         known = ids < self.board.marker_count
         agreed = known.copy()
-        agreed[known] = self._agreeing(ids[known], sides_px[known])
+        agreed[known] = self.agreeing(ids[known], sides_px[known])
         strangers = int(np.sum(~agreed))
-        if agreed.sum() < LEAST_MARKERS:
+        if agreed.sum() < max(LEAST_MARKERS, AGREEING_SHARE * len(ids)):
             return BoardView(size_px, np.zeros(0, np.int64), np.zeros((0, 2)), ids[:0], sides_px[:0], strangers)
         names, corners_px = self._corners(grey, ids[agreed], sides_px[agreed])
         return BoardView(size_px, names, corners_px, ids[agreed], sides_px[agreed], strangers)
 
-    def _agreeing(self, ids: IntArray, sides_px: FloatArray) -> NDArray[np.bool_]:
-        """Which (M,) markers are where one plane has them."""
+    def agreeing(self, ids: IntArray, sides_px: FloatArray) -> NDArray[np.bool_]:
+        """Which (M,) markers with corners (M, 4, 2) are where the board has them, seen as one plane."""
         if len(ids) < LEAST_MARKERS:
             return np.zeros(len(ids), bool)
         square_px = np.sqrt(_areas(sides_px)) * self.board.square_m / self.board.marker_m
@@ -98,7 +100,7 @@ class BoardFinder:
         H, _ = cv2.findHomography(
             self._markers_m[ids].reshape(-1, 2), sides_px.reshape(-1, 2), cv2.RANSAC, stray_px, maxIters=500
         )
-        if H is None:
+        if np.size(H) != 9:  # None where there is none
             return np.zeros(len(ids), bool)
         error_px = np.linalg.norm(_mapped(np.asarray(H, np.float64), centres_m) - sides_px.mean(axis=1), axis=-1)
         return error_px < STRAY_SQUARES * square_px
@@ -106,7 +108,7 @@ class BoardFinder:
     def _corners(self, grey: Grey, ids: IntArray, sides_px: FloatArray) -> tuple[IntArray, FloatArray]:
         names, predicted, steps_px = self._predicted(ids, sides_px)
         gap = 0.5 * (1 - self.board.marker_m / self.board.square_m)
-        # The nearest marker corners are at (gap, gap) and (gap, -gap) of a square: how far is that in the window's norm?
+        # The nearest marker corners are at (gap, gap) and (gap, -gap) of a square: how far, in the window's norm?
         diagonals = gap * np.stack([steps_px[:, 0] + steps_px[:, 1], steps_px[:, 0] - steps_px[:, 1]], axis=1)
         clear_px = np.abs(diagonals).max(axis=-1).min(axis=-1)
         window = np.minimum(np.floor(clear_px - CLEARANCE_PX), LARGEST_WINDOW_PX).astype(int)
@@ -114,6 +116,8 @@ class BoardFinder:
         inside = window >= SMALLEST_WINDOW_PX
         inside &= np.all((predicted >= window[:, None]) & (predicted < [width, height] - window[:, None]), axis=1)
         names, predicted, steps_px, window = names[inside], predicted[inside], steps_px[inside], window[inside]
+        if not len(names):
+            return names, predicted
         refined = predicted.astype(np.float32)
         for half in np.unique(window):  # few sizes
             chosen = window == half
@@ -142,7 +146,7 @@ class BoardFinder:
             if len(near) < 2:
                 continue
             H, _ = cv2.findHomography(known_m[near].reshape(-1, 2), sides_px[near].reshape(-1, 2), 0)
-            if H is None:
+            if np.size(H) != 9:
                 continue
             corner = self._corners_m[name]
             beside = corner + square_m / 8 * np.array([(0, 0), (1, 0), (-1, 0), (0, 1), (0, -1)])
@@ -165,7 +169,7 @@ def marker_detector(dictionary: str) -> cv2.aruco.ArucoDetector:
 def read_markers(detector: cv2.aruco.ArucoDetector, grey: Grey) -> tuple[IntArray, FloatArray]:
     """Ids (M,) and rough corners (M, 4, 2) px of the markers in an image; an id that is there twice is left out."""
     found, ids, _ = detector.detectMarkers(grey)
-    if ids is None or not len(ids):
+    if not len(found):  # ids are None then
         return np.zeros(0, np.int64), np.zeros((0, 4, 2))
     names = np.asarray(ids, np.int64).reshape(-1)
     sides = np.asarray(found, np.float64).reshape(-1, 4, 2)

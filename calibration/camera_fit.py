@@ -32,6 +32,7 @@ START_SHARES = (0.6, 1.0, 1.8)
 START_STEPS, MAX_STEPS = 12, 60
 FIRST_DAMPING, DAMPING_FACTOR, LARGEST_DAMPING = 1e-3, 10.0, 1e8
 SMALL_GAIN = 1e-9  # relative fall of the cost that ends the steps
+POSE_STEPS = 6
 # Reweighting: noise of each view, and corners beyond so many of its standard deviations are dropped.
 ROUNDS = 5
 STRAY_SIGMAS = 4.5
@@ -174,7 +175,7 @@ def _best_start(corners: Corners, priors: Priors) -> _State:
         state = _State(parameters, poses)
         for _ in range(2):  # the first weights are those of rough poses
             sigma, used = _noise(_residuals(state, corners), corners)
-            state, cost = _descend(state, corners, sigma, used, priors, START_STEPS)
+            state, _ = _descend(state, corners, sigma, used, priors, START_STEPS)
         residual = np.abs(_residuals(state, corners))
         tried.append((float(np.median(residual)), state))
     if not tried:
@@ -200,6 +201,19 @@ def board_poses(camera: CameraModel, corners: Corners) -> FloatArray | None:
     return poses
 
 
+def refine_poses(camera: CameraModel, corners: Corners, T_cam_board: FloatArray) -> FloatArray:
+    """Poses (V, 4, 4) at the least reprojection error with the camera as it is, corners far off left out."""
+    state = _State(parameters_of(camera), T_cam_board)
+    for _ in range(POSE_STEPS):
+        sigma, used = _noise(_residuals(state, corners), corners)
+        normal = _normal(state, corners, sigma, used, Priors())
+        moved = _moved(
+            state, np.zeros(len(PARAMETERS)), np.einsum("vij,vj->vi", normal.pose_inverse, normal.pose_gradient)
+        )
+        state = moved or state
+    return state.T_cam_board
+
+
 def _robust(state: _State, corners: Corners, priors: Priors) -> CameraFit:
     sigma, used = _noise(_residuals(state, corners), corners)
     for _ in range(ROUNDS):  # weights follow the residuals, and these the weights
@@ -212,7 +226,7 @@ def _robust(state: _State, corners: Corners, priors: Priors) -> CameraFit:
     std = np.sqrt(np.diagonal(covariance))
     matrix_std = np.zeros((3, 3))
     matrix_std[[0, 1, 0, 1], [0, 1, 2, 2]] = std[:4]
-    rms_px = float(np.sqrt(np.mean(np.sum(residual[used] ** 2, axis=-1))))
+    rms_px = float(np.sqrt(np.mean(np.asarray(residual[used] ** 2)) * 2))
     camera = CameraModel(
         camera.size_px, camera.matrix, camera.distortion, rms_px=rms_px, matrix_std=matrix_std, distortion_std=std[4:]
     )
@@ -225,8 +239,8 @@ def _noise(residual_px: FloatArray, corners: Corners) -> tuple[FloatArray, BoolA
     Robust first, for what is far; then the RMS of the rest, corrected for the pose that every view fits to itself.
     """
     size = np.abs(residual_px)
-    by_view = [size[corners.view == v] for v in range(corners.views)]
-    robust = np.maximum(np.array([MAD_TO_SIGMA * np.median(each) for each in by_view]), SMALLEST_SIGMA_PX)
+    middles = np.array([float(np.median(size[corners.view == v])) for v in range(corners.views)])
+    robust = np.maximum(MAD_TO_SIGMA * middles, SMALLEST_SIGMA_PX)
     robust = np.maximum(robust, 0.5 * float(np.median(robust)))
     used = np.all(size <= STRAY_SIGMAS * robust[corners.view, None], axis=1)
     squares = np.bincount(corners.view, np.where(used, np.sum(size**2, axis=1), 0), minlength=corners.views)
@@ -265,25 +279,23 @@ def _normal(
     camera = camera_of(state.parameters, corners.size_px)
     weight = np.where(used, 1 / sigma[corners.view], 0.0)[:, None, None]
     d_point = project_jacobian(camera, p_cam)
-    turn = -(R @ _hats(corners.points_m))
+    turn = -(R @ hats(corners.points_m))
     J_pose = weight * np.concatenate([d_point, d_point @ turn], axis=-1)  # [translation in the camera, rotation]
     J = weight * parameter_jacobian(camera, p_cam)
     e = weight[..., 0] * (corners.px - project(camera, p_cam))
     starts = np.searchsorted(corners.view, np.arange(corners.views))
-    A = np.einsum("pki,pkj->ij", J, J)
-    g = np.einsum("pki,pk->i", J, e)
+    prior_normal, prior_gradient = _prior(state.parameters, corners.size_px, priors)
+    own = np.einsum("pki,pkj->ij", J, J) + prior_normal
+    gradient = np.einsum("pki,pk->i", J, e) + prior_gradient
     cross = np.add.reduceat(np.einsum("pki,pkj->pij", J, J_pose), starts)
     poses = np.add.reduceat(np.einsum("pki,pkj->pij", J_pose, J_pose), starts)
     pose_gradient = np.add.reduceat(np.einsum("pki,pk->pi", J_pose, e), starts)
-    prior_A, prior_g = _prior(state.parameters, corners.size_px, priors)
-    A, g = A + prior_A, g + prior_g
-    if damping:
-        A = A + damping * np.diag(np.diagonal(A))
-        poses = poses + damping * np.eye(6) * np.diagonal(poses, axis1=1, axis2=2)[:, :, None]
-    inverse = np.linalg.inv(poses)
+    own = own + damping * np.diag(np.diagonal(own))
+    poses = poses + damping * np.eye(6) * np.diagonal(poses, axis1=1, axis2=2)[:, :, None]
+    inverse = np.asarray(np.linalg.inv(poses), np.float64)
     gain = cross @ inverse
-    reduced = A - np.einsum("vij,vkj->ik", gain, cross)
-    return _Normal(reduced, g - np.einsum("vij,vj->i", gain, pose_gradient), cross, inverse, pose_gradient)
+    reduced = own - np.einsum("vij,vkj->ik", gain, cross)
+    return _Normal(reduced, gradient - np.einsum("vij,vj->i", gain, pose_gradient), cross, inverse, pose_gradient)
 
 
 def parameter_jacobian(camera: CameraModel, p_cam: FloatArray) -> FloatArray:
@@ -379,17 +391,17 @@ def _moved(state: _State, step: FloatArray, pose_step: FloatArray) -> _State | N
     return _State(parameters, T)
 
 
-def _hats(p: FloatArray) -> FloatArray:
+def hats(p: FloatArray) -> FloatArray:
     """Matrices (..., 3, 3) of the cross product with p (..., 3)."""
     zero = np.zeros(p.shape[:-1])
     rows = [[zero, -p[..., 2], p[..., 1]], [p[..., 2], zero, -p[..., 0]], [-p[..., 1], p[..., 0], zero]]
     return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
-def _root(A: FloatArray) -> FloatArray:
-    return np.sqrt(np.diagonal(A))
+def _root(normal: FloatArray) -> FloatArray:
+    return np.sqrt(np.diagonal(normal))
 
 
-def _scaled(A: FloatArray) -> FloatArray:
+def _scaled(normal: FloatArray) -> FloatArray:
     """The matrix with a unit diagonal: px and coefficients of r^6 are of very different sizes."""
-    return A / np.outer(_root(A), _root(A))
+    return normal / np.outer(_root(normal), _root(normal))

@@ -1,7 +1,7 @@
 """Rendered views of a ChArUco board through a real lens, in the order light, blur, gamma, noise.
 
-Backward mapping: each pixel has several samples, each with its exact undistorted ray; the board's plane takes a ray to a
-texture whose texels hold the exact share of black. Not modelled: shadows, depth of focus, a board that isn't flat.
+Backward mapping: each pixel has several samples, each with its exact undistorted ray; the board's plane takes a ray to
+a texture whose texels hold the exact share of black. Not modelled: shadows, depth of focus, a board that isn't flat.
 """
 
 from __future__ import annotations
@@ -32,6 +32,8 @@ PAPER, INK, BEHIND = 0.8, 0.035, 0.25
 RIM_SQUARES = 0.6
 # The light falls off towards the corners of the image by this part.
 FALLOFF = 0.15
+# A common webcam's focal length, in image widths.
+COMMON_FOCAL = 0.953
 
 
 class BoardRenderer:
@@ -61,7 +63,9 @@ class BoardRenderer:
         """
         instants = np.asarray(T_cam_board, np.float64).reshape(-1, 4, 4)
         check_poses(instants, "T_cam_board")
-        light = np.mean([self._light(pose) for pose in instants], axis=0) if len(instants) > 1 else self._light(instants[0])
+        light = (
+            np.mean([self._light(pose) for pose in instants], axis=0) if len(instants) > 1 else self._light(instants[0])
+        )
         optics = self._optics
         light = light * self._falloff
         if optics.blur_px:
@@ -110,9 +114,7 @@ class BoardRenderer:
         seen = inverse_depth > 0
         inverse_depth[~seen] = 1
         column, row = np.where(seen, column / inverse_depth, away), np.where(seen, row / inverse_depth, away)
-        light = cv2.remap(
-            texture, column, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=[BEHIND]
-        )
+        light = cv2.remap(texture, column, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=[BEHIND])
         height, width = self._falloff.shape
         return np.asarray(cv2.resize(light, (width, height), interpolation=cv2.INTER_AREA), np.float32)
 
@@ -139,31 +141,35 @@ class BoardRenderer:
             count = int(np.ceil(edges[-1] + rim_m * per_m))
             ends = np.clip(edges[None, :] - np.arange(count)[:, None], 0, 1)
             shares.append(np.diff(ends, axis=1).astype(np.float32))
-        return PAPER - (PAPER - INK) * (shares[1] @ (1 - white) @ shares[0].T)
+        black = shares[1] @ (1 - white) @ shares[0].T
+        return np.asarray(PAPER - (PAPER - INK) * black, np.float32)
 
     @cached_property
     def _cells(self) -> tuple[FloatArray, FloatArray, Singles]:
         """The board cut along all its edges: where the cuts are (m), and which cells (rows, columns) are white."""
         rectangles = self._board.black_rectangles()
         x, y, w, h = np.round(rectangles, 9).T  # edges that are one differ by rounding
-        x_edges, y_edges = (np.unique(np.round(np.concatenate([a, a + b]), 9)) for a, b in ((x, w), (y, h)))
+        x_edges, y_edges = (_edges(low, extent) for low, extent in ((x, w), (y, h)))
         white = np.ones((len(y_edges) - 1, len(x_edges) - 1), np.float32)
         x0, x1 = np.searchsorted(x_edges, x - 1e-9), np.searchsorted(x_edges, x + w - 1e-9)
         y0, y1 = np.searchsorted(y_edges, y - 1e-9), np.searchsorted(y_edges, y + h - 1e-9)
         for k in range(len(rectangles)):  # once a board
             white[y0[k] : y1[k], x0[k] : x1[k]] = 0
         across, down = self._board.stretch
-        return x_edges * across, y_edges * down, white
+        return np.asarray(x_edges * across), np.asarray(y_edges * down), white
+
+
+def _edges(low: FloatArray, extent: FloatArray) -> FloatArray:
+    """Where rectangles begin and end, each place once, rising."""
+    return np.unique(np.round(np.concatenate([low, low + extent]), 9))
 
 
 def placed(
     board: CharucoBoard, optics: CameraOptics, centre_px: tuple[float, float], distance_m: float, turn: FloatArray
 ) -> FloatArray:
-    """The pose (4, 4) at which the board's middle is seen at a pixel, so far along the camera's axis, turned by (3, 3)."""
+    """The pose (4, 4) with the board's middle seen at a pixel, so far along the camera's axis, turned by (3, 3)."""
     (fx, _, cx), (_, fy, cy), _ = optics.matrix
-    x, y = undistorted(
-        np.array([(centre_px[0] - cx) / fx]), np.array([(centre_px[1] - cy) / fy]), optics.distortion
-    )
+    x, y = undistorted(np.array([(centre_px[0] - cx) / fx]), np.array([(centre_px[1] - cy) / fy]), optics.distortion)
     T = np.eye(4)
     T[:3, :3] = turn
     middle = np.array([*board.size_m, 0.0]) / 2
@@ -177,3 +183,38 @@ def turned(tilt_rad: float, towards_rad: float, roll_rad: float) -> FloatArray:
     tilt, _ = cv2.Rodrigues(axis)
     roll, _ = cv2.Rodrigues(np.array([0.0, 0.0, roll_rad]))
     return np.asarray(tilt @ roll, np.float64)
+
+
+def some_pose(
+    board: CharucoBoard,
+    optics: CameraOptics,
+    rng: np.random.Generator,
+    place: tuple[float, float],
+    tilt_deg: float,
+    distance_m: float,
+) -> FloatArray:
+    """A pose (4, 4) at a place of the image (shares of its size), tilted any way, in any of four rolls.
+
+    The distance is that of a camera with COMMON_FOCAL; others see the board as large from elsewhere.
+    """
+    width, height = optics.size_px
+    roll = np.pi / 2 * rng.integers(4) + rng.normal(scale=np.radians(8))
+    turn = turned(np.radians(tilt_deg), rng.uniform(0, 2 * np.pi), roll)
+    distance_m *= optics.matrix[0, 0] / width / COMMON_FOCAL
+    return placed(board, optics, (place[0] * width, place[1] * height), distance_m, turn)
+
+
+def varied_poses(board: CharucoBoard, optics: CameraOptics, rng: np.random.Generator, count: int) -> list[FloatArray]:
+    """Poses as a calibration wants them: all over the image, tilted by 15 to 45 deg, near enough to fill it."""
+    scatter = 0.03 * rng.normal(size=(count, 2))
+    return [
+        some_pose(
+            board,
+            optics,
+            rng,
+            (0.3 + 0.2 * (k % 3) + scatter[k, 0], 0.35 + 0.15 * (k // 3 % 3) + scatter[k, 1]),
+            rng.uniform(15, 45),
+            rng.uniform(0.32, 0.5),
+        )
+        for k in range(count)
+    ]
