@@ -14,7 +14,7 @@ from station.logs import FloatArray, PoseLog
 from station.perception import pose
 from station.perception.corners import Detections, MarkerDetector
 from station.perception.markers import MarkerTable
-from station.perception.observations import CORNERS, SOLUTIONS, ObservationBuilder, ObservationLog
+from station.perception.observations import CORNERS, SOLUTIONS, FrameMarkers, ObservationBuilder, ObservationLog
 from station.perception.pose import MarkerPoses, estimate_poses, pose_covariance
 
 IntArray = NDArray[np.int64]
@@ -45,16 +45,20 @@ def chi2_quantile(probability: float, dof: int | IntArray) -> FloatArray:
     return np.asarray(2.0 * gammaincinv(np.asarray(dof) / 2.0, probability), dtype=np.float64)
 
 
-def observe(
-    detections: Detections, table: MarkerTable, camera: CameraModel
-) -> tuple[IntArray, FloatArray, MarkerPoses]:
-    """Ids (M,), corners (M, 4, 2) and poses of those of a frame's detections that are in the table and have a pose."""
+def observe(detections: Detections, table: MarkerTable, camera: CameraModel) -> FrameMarkers:
+    """Those of a frame's detections that are in the table and have a pose, with their poses."""
     size_m = table.sizes_m(detections.ids)
-    listed = ~np.isnan(size_m)
-    ids, corners_px = detections.ids[listed], detections.corners_px[listed]
-    poses = estimate_poses(corners_px, size_m[listed], camera)
+    listed = np.flatnonzero(~np.isnan(size_m))
+    poses = estimate_poses(detections.corners_px[listed], size_m[listed], camera)
     posed = ~np.isnan(poses.rms_px[:, 0])
-    return ids[posed], corners_px[posed], MarkerPoses(poses.T_cam_marker[posed], poses.rms_px[posed])
+    rows = listed[posed]
+    return FrameMarkers(
+        marker_id=detections.ids[rows],
+        corners_px=detections.corners_px[rows],
+        corner_covariance_px2=detections.covariance_px2[rows],
+        T_cam_marker=poses.T_cam_marker[posed],
+        rms_px=poses.rms_px[posed],
+    )
 
 
 def observe_frames(
@@ -63,7 +67,7 @@ def observe_frames(
     """Observations of all frames, each (t_s, image); frames without a marker keep their time."""
     detector, builder = MarkerDetector(table.dictionary), ObservationBuilder()
     for t_s, image in frames:  # images come one at a time
-        builder.add(t_s, *observe(detector.detect(image), table, camera))
+        builder.add(t_s, observe(detector.detect(image), table, camera))
     return builder.build()
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from station.perception.observations import FrameMarkers
 from station.recording import RecordingWriter
 from station.session import SessionDescription
 
@@ -49,10 +50,7 @@ class MadeFrame:
     index: int
     t_ns: int
     image: NDArray[np.uint8]
-    marker_id: NDArray[np.int64]
-    corners_px: NDArray[np.float64]
-    T_cam_marker: NDArray[np.float64]
-    rms_px: NDArray[np.float64]
+    markers: FrameMarkers
     command: NDArray[np.float64]
     reading: NDArray[np.float64]
     request_ns: int
@@ -77,10 +75,13 @@ def _make_frame(k: int, markers: int, rng: np.random.Generator) -> MadeFrame:
         index=2 * k,  # each second frame was dropped
         t_ns=t_ns,
         image=rng.integers(0, 255, (48, 64, 3), dtype=np.uint8),
-        marker_id=rng.permutation(3)[:markers].astype(np.int64),
-        corners_px=rng.normal(size=(markers, 4, 2)) * 10 + 30,
-        T_cam_marker=T,
-        rms_px=rms,
+        markers=FrameMarkers(
+            marker_id=rng.permutation(3)[:markers].astype(np.int64),
+            corners_px=rng.normal(size=(markers, 4, 2)) * 10 + 30,
+            corner_covariance_px2=rng.random((markers, 4, 2, 2)),
+            T_cam_marker=T,
+            rms_px=rms,
+        ),
         command=rng.normal(size=len(JOINTS)),
         reading=rng.normal(size=len(JOINTS)),
         request_ns=request_ns,
@@ -98,15 +99,7 @@ def log_frame(writer: RecordingWriter, frame: MadeFrame) -> None:
 
 def log_image(writer: RecordingWriter, frame: MadeFrame) -> None:
     """Log a frame alone."""
-    writer.log_frame(
-        frame.index,
-        frame.t_ns,
-        frame.image,
-        marker_id=frame.marker_id,
-        corners_px=frame.corners_px,
-        T_cam_marker=frame.T_cam_marker,
-        rms_px=frame.rms_px,
-    )
+    writer.log_frame(frame.index, frame.t_ns, frame.image, frame.markers)
 
 
 def make_session(folder: Path, frames: list[MadeFrame]) -> Path:

@@ -22,6 +22,7 @@ import rerun as rr
 from station.errors import InvalidData, InvalidFile, OutputExists, StationError
 from station.kinematics.tree import Joint, KinematicTree
 from station.logs import JointLog, PoseLog
+from station.perception.observations import MARKER_SHAPES, FrameMarkers
 from station.recording import Recording, RecordingWriter, append_detected
 from station.recording.rrd_files import scan_framing
 from station.session import SessionStatus, check_output_folder, read_status, write_status
@@ -64,15 +65,17 @@ def rrd(session: Path) -> Path:
 
 def test_observations_are_read_bit_for_bit(recording: Recording, frames: list[MadeFrame]) -> None:
     seen = recording.observations
-    np.testing.assert_array_equal(seen.marker_id, np.concatenate([f.marker_id for f in frames]))
-    assert seen.corners_px.tobytes() == np.concatenate([f.corners_px for f in frames]).tobytes()
-    assert seen.T_cam_marker.tobytes() == np.concatenate([f.T_cam_marker for f in frames]).tobytes()
-    assert seen.rms_px.tobytes() == np.concatenate([f.rms_px for f in frames]).tobytes()
+    np.testing.assert_array_equal(seen.marker_id, np.concatenate([f.markers.marker_id for f in frames]))
+    assert seen.corners_px.tobytes() == np.concatenate([f.markers.corners_px for f in frames]).tobytes()
+    covariances = np.concatenate([f.markers.corner_covariance_px2 for f in frames])
+    assert seen.corner_covariance_px2.tobytes() == covariances.tobytes()
+    assert seen.T_cam_marker.tobytes() == np.concatenate([f.markers.T_cam_marker for f in frames]).tobytes()
+    assert seen.rms_px.tobytes() == np.concatenate([f.markers.rms_px for f in frames]).tobytes()
 
 
 def test_frames_without_markers_are_read_too(recording: Recording, frames: list[MadeFrame]) -> None:
     counts = np.bincount(recording.observations.frame, minlength=FRAMES)
-    assert counts.tolist() == [len(f.marker_id) for f in frames]
+    assert counts.tolist() == [len(f.markers) for f in frames]
     assert 0 in counts
 
 
@@ -125,10 +128,10 @@ def test_a_frame_that_is_not_there_is_refused(recording: Recording) -> None:
 def test_grey_images_and_ready_jpegs_are_taken(tmp_path: Path, frames: list[MadeFrame]) -> None:
     grey = frames[0].image[..., 0].copy()
     ready = cv2.imencode(".jpg", grey)[1].tobytes()
-    corners, poses, rms = np.zeros((0, 4, 2)), np.zeros((0, 2, 4, 4)), np.zeros((0, 2))
+    none = FrameMarkers(**{name: np.zeros((0, *shape)) for name, shape in MARKER_SHAPES.items()})
     with RecordingWriter(tmp_path / "s", describe(), start_ns=0) as writer:
         for index, image in enumerate((grey, ready)):
-            writer.log_frame(index, index, image, marker_id=[], corners_px=corners, T_cam_marker=poses, rms_px=rms)
+            writer.log_frame(index, index, image, none)
     recording = Recording.load(tmp_path / "s")
     assert recording.frame_image(0).shape == (48, 64, 3)
     assert recording.frame_jpeg(1) == ready
@@ -616,3 +619,11 @@ def test_joints_read_one_after_the_other_are_brought_to_one_time(tmp_path: Path)
     measured = Recording.load(tmp_path / "s").measured
     np.testing.assert_allclose(measured.q[1:-1, 0], measured.t_s[1:-1], atol=1e-12)
     np.testing.assert_allclose(measured.q[1:-1, 1], measured.t_s[1:-1], atol=1e-12)
+
+
+def test_a_recording_without_corner_covariances_is_read(tmp_path: Path, frames: list[MadeFrame], monkeypatch) -> None:
+    older = {name: shape for name, shape in MARKER_SHAPES.items() if name != "corner_covariance_px2"}
+    monkeypatch.setattr("station.recording.writer.MARKER_SHAPES", older)
+    seen = Recording.load(make_session(tmp_path / "older", frames)).observations
+    assert np.all(np.isnan(seen.corner_covariance_px2))
+    assert seen.corners_px.tobytes() == np.concatenate([f.markers.corners_px for f in frames]).tobytes()

@@ -65,9 +65,14 @@ def watch(T_cam_part: FloatArray, table: MarkerTable, sigma_px: float, *, seed: 
         frame=np.repeat(np.arange(frames), count),
         marker_id=np.tile([m.id for m in table.markers], frames),
         corners_px=px.reshape(-1, 4, 2),
+        corner_covariance_px2=np.full((px[..., 0, 0].size, 4, 2, 2), np.nan),
         T_cam_marker=poses.T_cam_marker,
         rms_px=poses.rms_px,
     )
+
+
+def detected(ids: list[int], px: FloatArray) -> Detections:
+    return Detections(np.array(ids, dtype=np.int64), px, np.full((len(ids), 4, 2, 2), np.nan))
 
 
 def rotation_errors_deg(T: FloatArray, truth: FloatArray) -> FloatArray:
@@ -110,7 +115,9 @@ def test_a_swing_through_the_front_keeps_its_side() -> None:
 def test_a_choice_that_nothing_decides_is_called_uncertain() -> None:
     T = np.stack([tilted(np.array(10.0)), tilted(np.array(-10.0))])[None]
     px = corners_px(T[:, 0])
-    log = ObservationLog(np.zeros(1), np.zeros(1), np.array([4]), px, T, np.array([[0.05, 0.05]]))
+    log = ObservationLog(
+        np.zeros(1), np.zeros(1), np.array([4]), px, np.full((1, 4, 2, 2), np.nan), T, np.array([[0.05, 0.05]])
+    )
     _, probability = choose_solutions(log, 0.1)
     assert probability[0] == pytest.approx(0.5)
     covariance = estimate_pose_log(log, ONE, CAMERA, sigma_px=0.1).covariance
@@ -163,11 +170,12 @@ def test_a_shape_that_is_no_square_is_dropped_and_a_poor_one_trusted_less() -> N
 
 def test_parts_times_and_gaps_are_the_tables_and_the_observations() -> None:
     table = MarkerTable(DICTIONARY, (Marker(9, "late", SIZE_M), Marker(4, "lid", SIZE_M)))
+    stranger_too = MarkerTable(DICTIONARY, (*table.markers, Marker(17, "stranger", SIZE_M)))
     builder = ObservationBuilder()
     px = corners_px(tilted(np.array([20.0])))
     t_s = [0.0, 0.033, 0.071]
     for stamp, ids in zip(t_s, ([4], [], [17]), strict=True):  # 17 is in nobody's table
-        builder.add(stamp, np.array(ids, dtype=int), px[: len(ids)], estimate_poses(px[: len(ids)], SIZE_M, CAMERA))
+        builder.add(stamp, observe(detected(ids, px[: len(ids)]), stranger_too, CAMERA))
     log = estimate_pose_log(builder.build(), table, CAMERA)
     assert (log.reference, log.parts, log.t_s.tolist()) == ("camera", ("late", "lid"), t_s)
     assert log.seen.tolist() == [[False, True], [False, False], [False, False]]
@@ -176,7 +184,7 @@ def test_parts_times_and_gaps_are_the_tables_and_the_observations() -> None:
 def test_a_log_without_observations_has_unseen_parts() -> None:
     builder = ObservationBuilder()
     for t_s in (0.0, 0.1):
-        builder.add(t_s, np.zeros(0, int), np.zeros((0, 4, 2)), estimate_poses(np.zeros((0, 4, 2)), [], CAMERA))
+        builder.add(t_s, observe(detected([], np.zeros((0, 4, 2))), ONE, CAMERA))
     log = estimate_pose_log(builder.build(), ONE, CAMERA)
     assert not np.any(log.seen)
 
@@ -249,10 +257,9 @@ def test_viewing_angles_by_marker_and_by_part() -> None:
 
 def test_a_detection_that_is_not_in_the_table_is_left_out() -> None:
     px = corners_px(tilted(np.array([20.0, 30.0])))
-    ids, corners, poses = observe(Detections(np.array([17, 4]), px), ONE, CAMERA)
-    assert ids.tolist() == [4]
-    np.testing.assert_array_equal(corners, px[1:])
-    assert poses.T_cam_marker.shape == (1, 2, 4, 4)
+    seen = observe(detected([17, 4], px), ONE, CAMERA)
+    assert seen.marker_id.tolist() == [4]
+    np.testing.assert_array_equal(seen.corners_px, px[1:])
 
 
 @pytest.fixture(scope="module")

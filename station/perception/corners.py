@@ -16,14 +16,23 @@ from station.perception.markers import load_dictionary
 # One window of the adaptive threshold instead of OpenCV's three (3, 13, 23 px): half the time at the same rate.
 THRESHOLD_WINDOW_PX = 13
 BORDER_CELLS = 1
+# Random error of a refined corner's coordinate on rendered frames.
+CORNER_SIGMA_PX = 0.05
 
 
 @dataclass(frozen=True, eq=False)
 class Detections:
-    """The markers of one image: ids (M,) and corners (M, 4, 2) px, clockwise from the marker's top left."""
+    """The markers of one image.
+
+    Attributes:
+        ids: (M,).
+        corners_px: (M, 4, 2) clockwise from the marker's top left.
+        covariance_px2: (M, 4, 2, 2) of each corner.
+    """
 
     ids: NDArray[np.int64]
     corners_px: FloatArray
+    covariance_px2: FloatArray
 
     def __len__(self) -> int:
         return len(self.ids)
@@ -53,13 +62,14 @@ class MarkerDetector:
         grey = _grey(image)
         found, ids, _ = self._detector.detectMarkers(grey)
         if ids is None or len(ids) == 0:
-            return Detections(np.zeros(0, dtype=np.int64), np.zeros((0, 4, 2)))
+            return Detections(np.zeros(0, dtype=np.int64), np.zeros((0, 4, 2)), np.zeros((0, 4, 2, 2)))
         ids = np.asarray(ids, dtype=np.int64).reshape(-1)
         rough = np.asarray(found, dtype=np.float64).reshape(-1, 4, 2)
         refined = refine_corners(linear_light(grey), rough, self._cells)
         values, counts = np.unique(ids, return_counts=True)
         keep = refined.good & np.isin(ids, values[counts == 1])
-        return Detections(ids[keep], refined.corners_px[keep])
+        covariance_px2 = np.broadcast_to(CORNER_SIGMA_PX**2 * np.eye(2), (int(keep.sum()), 4, 2, 2))
+        return Detections(ids[keep], refined.corners_px[keep], covariance_px2)
 
 
 def _grey(image: NDArray[np.uint8]) -> NDArray[np.uint8]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,12 +19,51 @@ IntArray = NDArray[np.int64]
 # The square-marker pose problem has at most two solutions (IPPE).
 SOLUTIONS = 2
 CORNERS = 4
+# What is known of each marker of a frame.
+MARKER_SHAPES: dict[str, tuple[int, ...]] = {
+    "marker_id": (),
+    "corners_px": (CORNERS, 2),
+    "corner_covariance_px2": (CORNERS, 2, 2),
+    "T_cam_marker": (SOLUTIONS, 4, 4),
+    "rms_px": (SOLUTIONS,),
+}
 
 
 def _frozen_ints(values: object) -> IntArray:
     array = np.array(values, dtype=np.int64)
     array.setflags(write=False)
     return array
+
+
+def _freeze_markers(of: FrameMarkers | ObservationLog, count: int, what: str) -> None:
+    """Freeze the arrays of `count` markers; raises InvalidData for shapes that don't agree."""
+    object.__setattr__(of, "marker_id", _frozen_ints(of.marker_id))
+    for name, shape in MARKER_SHAPES.items():
+        if name != "marker_id":
+            object.__setattr__(of, name, frozen_floats(getattr(of, name)))
+        if (have := getattr(of, name).shape) != (count, *shape):
+            raise InvalidData(f"{what}: {name} has shape {have}; want {(count, *shape)}")
+
+
+@dataclass(frozen=True, eq=False)
+class FrameMarkers:
+    """The M markers of one frame, checked and frozen; attributes as in ObservationLog.
+
+    Raises:
+        InvalidData: for shapes that don't agree.
+    """
+
+    marker_id: IntArray
+    corners_px: FloatArray
+    corner_covariance_px2: FloatArray
+    T_cam_marker: FloatArray
+    rms_px: FloatArray
+
+    def __post_init__(self) -> None:
+        _freeze_markers(self, len(self.marker_id), "markers of a frame")
+
+    def __len__(self) -> int:
+        return len(self.marker_id)
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,6 +75,7 @@ class ObservationLog:
         frame: (N,) row of `t_s`, never falling.
         marker_id: (N,) number in the dictionary; a marker is seen at most once a frame.
         corners_px: (N, 4, 2) as detected (distorted, no edge shift undone), clockwise from the marker's top left.
+        corner_covariance_px2: (N, 4, 2, 2) of each corner; NaN = not known.
         T_cam_marker: (N, 2, 4, 4) both pose solutions, the one with the lower error first; all-NaN where there is none.
         rms_px: (N, 2) RMS reprojection error of each, over the eight coordinates; NaN where there is none.
 
@@ -48,30 +88,16 @@ class ObservationLog:
     frame: IntArray
     marker_id: IntArray
     corners_px: FloatArray
+    corner_covariance_px2: FloatArray
     T_cam_marker: FloatArray
     rms_px: FloatArray
 
     def __post_init__(self) -> None:
-        for name in ("t_s", "corners_px", "T_cam_marker", "rms_px"):
-            object.__setattr__(self, name, frozen_floats(getattr(self, name)))
-        for name in ("frame", "marker_id"):
-            object.__setattr__(self, name, _frozen_ints(getattr(self, name)))
+        object.__setattr__(self, "t_s", frozen_floats(self.t_s))
+        object.__setattr__(self, "frame", _frozen_ints(self.frame))
         check_times(self.t_s)
-        self._check_shapes()
+        _freeze_markers(self, len(self.frame), "observations")
         self._check_rows()
-
-    def _check_shapes(self) -> None:
-        count = len(self.frame)
-        want = {
-            "frame": (count,),
-            "marker_id": (count,),
-            "corners_px": (count, CORNERS, 2),
-            "T_cam_marker": (count, SOLUTIONS, 4, 4),
-            "rms_px": (count, SOLUTIONS),
-        }
-        for name, shape in want.items():
-            if (have := getattr(self, name).shape) != shape:
-                raise InvalidData(f"observations: {name} has shape {have}; want {shape}")
 
     def _check_rows(self) -> None:
         if not len(self.frame):
@@ -97,28 +123,18 @@ class ObservationBuilder:
 
     def __init__(self) -> None:
         self._t_s: list[float] = []
-        self._marker_id: list[IntArray] = []
-        self._corners_px: list[FloatArray] = []
-        self._T_cam_marker: list[FloatArray] = []
-        self._rms_px: list[FloatArray] = []
+        self._frames: list[FrameMarkers] = []
 
-    def add(self, t_s: float, marker_id: IntArray, corners_px: FloatArray, poses: MarkerPoses) -> None:
-        """Add a frame at time `t_s`: ids (M,), corners (M, 4, 2) and poses of its M markers; M may be 0."""
-        count = len(marker_id)
+    def add(self, t_s: float, markers: FrameMarkers) -> None:
+        """Add a frame at time `t_s`, with or without markers."""
         self._t_s.append(t_s)
-        self._marker_id.append(np.asarray(marker_id, dtype=np.int64))
-        self._corners_px.append(np.reshape(corners_px, (count, CORNERS, 2)))
-        self._T_cam_marker.append(np.reshape(poses.T_cam_marker, (count, SOLUTIONS, 4, 4)))
-        self._rms_px.append(np.reshape(poses.rms_px, (count, SOLUTIONS)))
+        self._frames.append(markers)
 
     def build(self) -> ObservationLog:
         """The log of all frames added so far."""
-        counts = [len(ids) for ids in self._marker_id]
-        return ObservationLog(
-            t_s=np.array(self._t_s),
-            frame=np.repeat(np.arange(len(counts)), counts),
-            marker_id=np.concatenate([np.zeros(0, np.int64), *self._marker_id]),
-            corners_px=np.concatenate([np.zeros((0, CORNERS, 2)), *self._corners_px]),
-            T_cam_marker=np.concatenate([np.zeros((0, SOLUTIONS, 4, 4)), *self._T_cam_marker]),
-            rms_px=np.concatenate([np.zeros((0, SOLUTIONS)), *self._rms_px]),
-        )
+        counts = [len(markers) for markers in self._frames]
+        columns: dict[str, Any] = {
+            name: np.concatenate([np.zeros((0, *shape)), *(getattr(markers, name) for markers in self._frames)])
+            for name, shape in MARKER_SHAPES.items()
+        }
+        return ObservationLog(np.array(self._t_s), np.repeat(np.arange(len(counts)), counts), **columns)

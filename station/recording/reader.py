@@ -21,7 +21,7 @@ from rerun.error_utils import RerunWarning
 
 from station.errors import InvalidData, InvalidFile
 from station.logs import FloatArray, JointLog
-from station.perception.observations import ObservationLog
+from station.perception.observations import MARKER_SHAPES, ObservationLog
 from station.recording.layout import (
     BLOB,
     COMMANDED,
@@ -218,7 +218,10 @@ def _assembled(path: Path, batches: Batches, notices: tuple[str, ...]) -> Record
     joints, units = description.joints, description.units
     commanded = Rows(batches.get(COMMANDED, ()), ELAPSED, [SCALARS])
     measured = Rows(batches.get(MEASURED, ()), ELAPSED, [SCALARS, REQUEST, REPLY, JOINT_STAMPS])
-    observed = Rows(batches.get(OBSERVATIONS, ()), ELAPSED, [FRAME, *OBSERVED])
+    rows = batches.get(OBSERVATIONS, ())
+    present = {name for batch in rows for name in batch.schema.names}
+    columns = [name for name in MARKER_SHAPES if name in present or name not in ADDED]
+    observed = Rows(rows, ELAPSED, [FRAME, "count", *columns])
     stamps_ns = _stamps(measured)
     keep = _last_of_equal(stamps_ns.sum(axis=1))
     read_s = _seconds((stamps_ns[keep] - start_ns).sum(axis=1)) / 2
@@ -231,7 +234,7 @@ def _assembled(path: Path, batches: Batches, notices: tuple[str, ...]) -> Record
         commanded=JointLog(_seconds(commanded.times[sent]), joints, _states(commanded, len(joints))[sent], units),
         measured=JointLog(read_s, joints, _at_one_time(measured, len(joints), start_ns, keep, read_s), units),
         stamps_ns=stamps_ns[keep],
-        observations=_observations(observed),
+        observations=_observations(observed, columns),
         frame_index=observed.index(FRAME),
         frame_ns=observed.times + start_ns,
         events=_events(batches.get(EVENTS, ())),
@@ -239,7 +242,8 @@ def _assembled(path: Path, batches: Batches, notices: tuple[str, ...]) -> Record
     )
 
 
-OBSERVED = ("count", "marker_id", "corners_px", "T_cam_marker", "rms_px")
+# Recordings made before 0.1.0 lack these; their values are NaN then.
+ADDED = ("corner_covariance_px2",)
 
 
 def _seconds(nanoseconds: IntArray) -> FloatArray:
@@ -304,16 +308,14 @@ def _last_of_equal(times: IntArray) -> NDArray[np.bool_]:
     return np.append(np.diff(times) > 0, True)[: len(times)]
 
 
-def _observations(rows: Rows) -> ObservationLog:
+def _observations(rows: Rows, present: Sequence[str]) -> ObservationLog:
     counts = rows.integers("count", np.ones(len(rows), np.int64))
-    return ObservationLog(
-        t_s=_seconds(rows.times),
-        frame=np.repeat(np.arange(len(rows)), counts),
-        marker_id=rows.integers("marker_id", counts),
-        corners_px=rows.floats("corners_px", counts, (4, 2)),
-        T_cam_marker=rows.floats("T_cam_marker", counts, (2, 4, 4)),
-        rms_px=rows.floats("rms_px", counts, (2,)),
-    )
+    total = int(counts.sum())
+    columns = {name: np.full((total, *shape), np.nan) for name, shape in MARKER_SHAPES.items()}
+    for name in present:
+        read = rows.integers if name == "marker_id" else rows.floats
+        columns[name] = read(name, counts, MARKER_SHAPES[name])
+    return ObservationLog(_seconds(rows.times), np.repeat(np.arange(len(rows)), counts), **columns)
 
 
 def _events(batches: Sequence[pa.RecordBatch]) -> tuple[Event, ...]:

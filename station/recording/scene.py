@@ -8,11 +8,11 @@ from typing import Literal
 
 import numpy as np
 import rerun as rr
-from numpy.typing import NDArray
 
 from calibration.intrinsics import CameraModel
 from station.logs import FloatArray
 from station.perception.markers import Marker, MarkerTable
+from station.perception.observations import FrameMarkers
 from station.recording.layout import CAMERA_FRAME, IMAGE, IMAGE_FRAME, MARKERS, OVERLAY, marker_frame
 
 # The viewer's pixel (0, 0) is the corner of the top-left pixel, ours its centre, px.
@@ -139,15 +139,13 @@ def marker_pose(marker_id: int, T_cam_marker: FloatArray) -> rr.Transform3D:
     )
 
 
-def outlines(
-    table: MarkerTable, marker_id: NDArray[np.int64], corners_px: FloatArray
-) -> tuple[rr.LineStrips2D, rr.Points2D]:
+def outlines(table: MarkerTable, markers: FrameMarkers) -> tuple[rr.LineStrips2D, rr.Points2D]:
     """The detected squares over the image, first corner and number; without any, those drawn before disappear."""
     colour = _part_colours(table)
-    parts = [table.markers[row].part if row >= 0 else None for row in table.rows(marker_id)]
+    parts = [table.markers[row].part if row >= 0 else None for row in table.rows(markers.marker_id)]
     tints = [STRANGER if part is None else colour[part] for part in parts]
-    labels = [f"{n}" if part else f"{n} is not in the table" for n, part in zip(marker_id, parts, strict=True)]
-    corners = corners_px + PIXEL_CENTRE_PX
+    labels = [f"{n}" if part else f"{n} is not in the table" for n, part in zip(markers.marker_id, parts, strict=True)]
+    corners = markers.corners_px + PIXEL_CENTRE_PX
     strips = rr.LineStrips2D(list(corners[:, [0, 1, 2, 3, 0]]), colors=tints)
     dots = rr.Points2D(corners[:, 0], colors=tints, labels=labels, radii=rr.Radius.ui_points(DOT_POINTS))
     return strips, dots

@@ -31,6 +31,7 @@ from station.errors import InvalidData, OutputExists, StationError
 from station.formats.camera import parse_camera
 from station.formats.markers import parse_markers
 from station.logs import FloatArray
+from station.perception.observations import MARKER_SHAPES, FrameMarkers
 from station.recording import scene
 from station.recording.layout import (
     APPLICATION,
@@ -228,44 +229,22 @@ class RecordingWriter:
         self._log(t_ns, EVENTS, rr.TextLog(text, level=level))
         self._counts["events"] += 1
 
-    def log_frame(
-        self,
-        index: int,
-        t_ns: int,
-        image: bytes | NDArray[np.uint8],
-        *,
-        marker_id: ArrayLike,
-        corners_px: ArrayLike,
-        T_cam_marker: ArrayLike,
-        rms_px: ArrayLike,
-    ) -> None:
-        """Log one frame and the M markers detected in it; M may be 0.
+    def log_frame(self, index: int, t_ns: int, image: bytes | NDArray[np.uint8], markers: FrameMarkers) -> None:
+        """Log one frame and the markers detected in it.
 
         Args:
             index: the camera's number of the frame, increasing; dropped frames leave gaps.
             t_ns: stamp of its arrival, increasing.
             image: (H, W, 3) BGR or (H, W) grey, encoded here; or a JPEG's bytes.
-            marker_id: (M,).
-            corners_px: (M, 4, 2).
-            T_cam_marker: (M, 2, 4, 4) both pose solutions, NaN where there is none.
-            rms_px: (M, 2) their errors.
+            markers: may be none.
         """
-        ids = np.asarray(marker_id, dtype=np.int64).reshape(-1)
-        corners = _shape(corners_px, (len(ids), 4, 2), "corners_px")
-        poses = _shape(T_cam_marker, (len(ids), 2, 4, 4), "T_cam_marker")
-        rms = _shape(rms_px, (len(ids), 2), "rms_px")
-        observed = rr.AnyValues(
-            count=_integer(len(ids)),
-            marker_id=pa.array(ids),
-            corners_px=pa.array(corners.ravel()),
-            T_cam_marker=pa.array(poses.ravel()),
-            rms_px=pa.array(rms.ravel()),
-        )
+        columns = {name: pa.array(getattr(markers, name).ravel()) for name in MARKER_SHAPES}
+        observed = rr.AnyValues(count=_integer(len(markers)), **columns)
         jpeg = rr.EncodedImage(contents=_encoded(image), media_type="image/jpeg")
         self._log(t_ns, OBSERVATIONS, observed, frame=index)
         self._log(t_ns, IMAGE, jpeg, frame=index)
-        self._log(t_ns, OVERLAY, *scene.outlines(self._markers, ids, corners), frame=index)
-        self._log_poses(t_ns, index, dict(zip(ids.tolist(), poses[:, 0], strict=True)))
+        self._log(t_ns, OVERLAY, *scene.outlines(self._markers, markers), frame=index)
+        self._log_poses(t_ns, index, dict(zip(markers.marker_id.tolist(), markers.T_cam_marker[:, 0], strict=True)))
         self._counts["frames"] += 1
 
     def flush(self, timeout_s: float = FLUSH_TIMEOUT_S) -> None:

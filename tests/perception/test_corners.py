@@ -61,7 +61,8 @@ def rms(values: FloatArray) -> float:
 def unrefined(image: np.ndarray) -> Detections:
     plain = cv2.aruco.ArucoDetector(cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50))
     corners, ids, _ = plain.detectMarkers(image)
-    return Detections(np.reshape(ids, -1), np.reshape(corners, (-1, 4, 2)).astype(np.float64))
+    covariance_px2 = np.full((len(corners), 4, 2, 2), np.nan)
+    return Detections(np.reshape(ids, -1), np.reshape(corners, (-1, 4, 2)).astype(np.float64), covariance_px2)
 
 
 @pytest.mark.parametrize("tilt_deg", [0, 30, 60])

@@ -2,26 +2,26 @@ import numpy as np
 import pytest
 
 from station.errors import InvalidData
-from station.perception.observations import ObservationBuilder, ObservationLog
-from station.perception.pose import MarkerPoses
+from station.perception.observations import FrameMarkers, ObservationBuilder, ObservationLog
 
 
 def values(count: int) -> dict[str, np.ndarray]:
     return {
         "corners_px": np.zeros((count, 4, 2)),
+        "corner_covariance_px2": np.zeros((count, 4, 2, 2)),
         "T_cam_marker": np.full((count, 2, 4, 4), np.nan),
         "rms_px": np.zeros((count, 2)),
     }
 
 
-def poses(count: int) -> MarkerPoses:
-    return MarkerPoses(np.full((count, 2, 4, 4), np.nan), np.zeros((count, 2)))
+def markers(ids: list[int]) -> FrameMarkers:
+    return FrameMarkers(np.array(ids, dtype=np.int64), **values(len(ids)))
 
 
 def test_frames_without_markers_keep_their_times() -> None:
     builder = ObservationBuilder()
     for t_s, ids in ((0.0, []), (0.1, [3, 1]), (0.2, []), (0.3, [3])):
-        builder.add(t_s, np.array(ids, dtype=np.int64), np.zeros((len(ids), 4, 2)), poses(len(ids)))
+        builder.add(t_s, markers(ids))
     log = builder.build()
     assert log.t_s.tolist() == [0.0, 0.1, 0.2, 0.3]
     assert (log.frame.tolist(), log.marker_id.tolist()) == ([1, 1, 3], [3, 1, 3])
