@@ -201,7 +201,7 @@ def check_ruler(ruler_mm: tuple[float, float]) -> None:
 
 
 def parse_spec(text: str) -> CharucoBoard:
-    """The board of a word such as "charuco:7x9:25:18.75:DICT_5X5_100", as printed on each board.
+    """The board of a word such as "charuco:7x9:25:17.5:DICT_5X5_100", as printed on each board.
 
     Raises:
         CalibrationError: for another text, or a board that can't be.
@@ -210,7 +210,7 @@ def parse_spec(text: str) -> CharucoBoard:
     if match is None:
         raise CalibrationError(
             f"'{text}' is no board; want charuco:COLUMNSxROWS:SQUARE_MM:MARKER_MM:DICTIONARY as it is printed on the "
-            "sheet, such as charuco:7x9:25:18.75:DICT_5X5_100"
+            "sheet, such as charuco:7x9:25:17.5:DICT_5X5_100"
         )
     columns, rows, square_mm, marker_mm, dictionary, legacy = match.groups()
     return CharucoBoard(

@@ -42,24 +42,32 @@ def write_calibration(folder: Path, done: CameraCalibration, board: CharucoBoard
 
 def calibration_document(done: CameraCalibration, board: CharucoBoard, when: datetime) -> dict[str, Any]:
     """All numbers of a calibration, as calibration.json has them: strict JSON, null for what isn't known."""
-    fit, held_out, shift = done.fit, done.held_out, done.edge_shift
-    values = parameters_of(fit.camera)
     return {
         "schema": CALIBRATION_SCHEMA,
         "when": when.isoformat(timespec="seconds"),
+        "board": {"spec": board.spec, "ruler_mm": [round(RULER_MM * share, 6) for share in board.stretch]},
+        **result_document(done),
+        "covariance": done.fit.covariance.tolist(),
+        "cover": done.cover.astype(int).tolist(),
+        "map_std_px": [[_number(value) for value in row] for row in done.map_std_px],
+        "views": _views(done),
+    }
+
+
+def result_document(done: CameraCalibration) -> dict[str, Any]:
+    """The result in short: verdict, parameters, errors."""
+    fit, held_out, shift = done.fit, done.held_out, done.edge_shift
+    values = parameters_of(fit.camera)
+    return {
         "verdict": {
             "grade": done.verdict.grade.word,
-            "remarks": [
-                {"grade": each.grade.word, "what": each.what, "do": each.do} for each in done.verdict.remarks
-            ],
+            "remarks": [{"grade": each.grade.word, "what": each.what, "do": each.do} for each in done.verdict.remarks],
         },
-        "board": {"spec": board.spec, "ruler_mm": [round(RULER_MM * share, 6) for share in board.stretch]},
         "size_px": list(fit.camera.size_px),
         "parameters": {
             name: {"value": float(value), "std": float(std)}
             for name, value, std in zip(PARAMETERS, values, fit.std, strict=True)
         },
-        "covariance": fit.covariance.tolist(),
         "rms_px": fit.camera.rms_px,
         "held_out_rms_px": None if held_out is None else held_out.rms_px,
         "edge_shift": None
@@ -67,9 +75,7 @@ def calibration_document(done: CameraCalibration, board: CharucoBoard, when: dat
         else {"px": shift.shift_px, "std_px": shift.std_px, "markers": shift.markers},
         "marker_share": done.marker_share,
         "corners": {"used": int(fit.used.sum()), "dropped": int((~fit.used).sum())},
-        "cover": done.cover.astype(int).tolist(),
-        "map_std_px": [[_number(value) for value in row] for row in done.map_std_px],
-        "views": _views(done),
+        "views_used": len(done.shots),
         "left_out": list(done.left_out),
     }
 

@@ -2,47 +2,40 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Iterator
-from contextlib import closing
+import shlex
+from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from calibration import camera_calibration
 from calibration.boards import CharucoBoard, check_ruler, load_dictionary, parse_spec
-from calibration.camera_calibration import CameraCalibration, RefineMarkers, calibrate_camera
-from calibration.errors import CalibrationError
-from calibration.pictures import encode_png
-from calibration.view_selection import WANTED_VIEWS, Look, ViewSelector
-from calibration.wrong_board import explain_missing
-from drivers.clock import Clock, MonotonicClock, VirtualClock
-from drivers.errors import CameraEnded, CameraError
+from calibration.camera_calibration import CameraCalibration, RefineMarkers
+from calibration.intrinsics import FloatArray
+from calibration.sheets import largest_board
 from station.calibration_files import BOARD_FILE, CAMERA_FILE, VIEWS_FOLDER, clear_calibration, write_calibration
-from station.errors import InvalidData, InvalidFile
+from station.errors import InvalidData
 from station.formats.board import parse_board
+from station.formats.rig import RENDERED
 from station.formats.text import read_text
+from station.rig_reading import read_rig
 from station.session import check_output_folder
+from station.view_taking import CameraWish, Progress, store_view, take_views
 
-if TYPE_CHECKING:
-    from drivers.camera import Camera
+__all__ = [
+    "Calibrated",
+    "MeasuredBoard",
+    "Progress",
+    "calibrate_camera",
+    "parse_ruler",
+    "read_board",
+    "require_measured",
+]
 
 Image = NDArray[np.uint8]
-
-# The board that a camera is shown without hardware, to try the wizard.
-REHEARSAL = "rendered"
-# A folder of more images than this is taken for a video: the views are chosen from it.
-EVERY_UP_TO = 60
-# Images that are kept to say why no board is found in them.
-KEPT_IMAGES = 8
-# A video in which the board rests for fewer views than this is looked through again for sharp frames of it in motion.
-ENOUGH_AT_REST = 8
-# Seconds after which a live camera's views are what they are, and between two looks at whether to stop.
-LONGEST_S, LOOK_S = 300.0, 0.1
-NS_PER_S = 1_000_000_000
 
 
 @dataclass(frozen=True)
@@ -54,30 +47,21 @@ class MeasuredBoard:
 
 
 @dataclass(frozen=True)
-class Progress:
-    """How far the search for views has come: the last look, all looks' selector, and the frame's number of so many."""
-
-    look: Look
-    selector: ViewSelector
-    frame: int
-    frames: int | None
-
-
-@dataclass(frozen=True)
 class Calibrated:
-    """A calibration, where it was written, and the command that computes it again from the stored views."""
+    """A calibration, where it was written, the command that computes it again, and what else is to be said."""
 
     folder: Path
     camera_file: Path
     calibration: CameraCalibration
     again: str
+    notices: tuple[str, ...] = ()
 
 
 def read_board(choice: str | None, source: str | None) -> MeasuredBoard:
     """The board that a camera is calibrated with.
 
     Args:
-        choice: a board.toml, or a word such as "charuco:7x10:25:18.75:DICT_5X5_100"; None for the board.toml beside
+        choice: a board.toml, or a word such as "charuco:7x10:25:17.5:DICT_5X5_100"; None for the board.toml beside
             the views in `source`.
 
     Raises:
@@ -89,6 +73,8 @@ def read_board(choice: str | None, source: str | None) -> MeasuredBoard:
         return MeasuredBoard(parse_spec(choice), measured=False)
     if choice is not None:
         return MeasuredBoard(*parse_board(read_text(Path(choice), "board", "or charuco:..."), choice))
+    if source == RENDERED:
+        return MeasuredBoard(largest_board("a4", 25.0, 17.5, "DICT_5X5_100"), measured=True)
     beside = () if source is None else (Path(source) / BOARD_FILE, Path(source).parent / BOARD_FILE)
     for path in beside:
         if path.is_file():
@@ -107,7 +93,9 @@ def parse_ruler(text: str) -> tuple[float, float]:
     except ValueError:
         lengths = []
     if len(lengths) not in (1, 2):
-        raise InvalidData(f"measured length '{text}': want millimetres across x down, such as 99.6x99.9, or one for both")
+        raise InvalidData(
+            f"measured length '{text}': want millimetres across x down, such as 99.6x99.9, or one for both"
+        )
     ruler = lengths[0], lengths[-1]
     check_ruler(ruler)
     return ruler
@@ -125,58 +113,68 @@ def require_measured(board: MeasuredBoard, measured_mm: tuple[float, float] | No
     )
 
 
-def calibrate(
-    source: str,
+def calibrate_camera(
+    source: str | None,
     board: CharucoBoard,
     out: Path,
     *,
+    rig: str | None = None,
     size_px: tuple[int, int] | None = None,
     fps: float | None = None,
-    rig: str | None = None,
     force: bool = False,
     on_look: Callable[[Progress], None] = lambda progress: None,
     stop: Callable[[], bool] = lambda: False,
     say: Callable[[str], None] = lambda stage: None,
 ) -> Calibrated:
-    """Calibrate a camera from views of a board and write camera.toml, calibration.json, coverage.png and the views.
+    """Calibrate a camera from views of a board; writes camera.toml, calibration.json, coverage.png and the views.
 
     Args:
-        source: a folder of images, a video, a live camera (index, device, address), or "rendered" to try it without one.
+        source: a folder of images, a video, a live camera (index, device, address), or "rendered": a board waved before
+            a simulated camera. None is the rig's camera.
         board: at the printer's scale.
         out: new or empty folder.
+        rig: whose camera it is, as the rig sets it; stored images must have its size.
         size_px, fps: asked of a live camera; the frames as they come if None.
-        rig: whose camera it is: its settings are used for a live camera, and stored images must have its size.
         force: write over what is in the folder.
         on_look: is told of every frame.
         stop: says when a person has had enough of showing the board to a live camera.
         say: is told what is done next.
 
     Raises:
-        StationError: an output folder that is occupied, a source that can't be read, too few views.
+        StationError: an output folder that is occupied, a source that can't be read, a board that isn't seen.
         CalibrationError: views that no camera can have seen.
         CameraError: a live camera that isn't there or stalls.
     """
     check_output_folder(out, force=force)
-    in_place = Path(source).resolve() == (out / VIEWS_FOLDER).resolve()
-    want_px = _rig_size(rig) if rig is not None else size_px
+    table = None if rig is None else read_rig(rig)[0]
+    if source is None and table is None:
+        raise InvalidData(
+            "no source: want a camera's index, device or address, a video, a folder of images, or --rig RIG"
+        )
+    settings = CameraWish(source, size_px, fps, table)
+    views = out / VIEWS_FOLDER
+    in_place = source is not None and Path(source).resolve() == views.resolve()
     say("views")
-    taking = _Taking(board, out / VIEWS_FOLDER, want_px, in_place, on_look, stop)
-    if source == REHEARSAL:
-        from station.waved_board import waved_board
-
-        clock = VirtualClock()
-        taking.from_camera(waved_board(board, clock), clock)
-    elif Path(source).exists() and not _is_device(source):
-        taking.from_files(source)
-    else:
-        live_clock = MonotonicClock()
-        taking.from_camera(_live_camera(source, size_px, fps, rig, live_clock), live_clock)
-    selector = taking.selector
-    _check_found(selector, board, source, taking.images)
+    taken = take_views(settings, board, views, on_look, stop)
     say("fit")
-    done = calibrate_camera(selector.shots, board, marker_refinement(board))
-    clear_calibration(out, keep=[out / VIEWS_FOLDER / shot.name for shot in selector.shots] if not in_place else ())
-    taking.store()
+    done = camera_calibration.calibrate_camera(taken.shots, board, marker_refinement(board))
+    if not (in_place or taken.stored):
+        clear_calibration(out)
+        for shot in taken.shots:
+            store_view(views, shot)
     write_calibration(out, done, board, datetime.now(UTC))
-    again = f"station calibrate camera {out / VIEWS_FOLDER} --out {out} --force"
-    return Calibrated(out, out / CAMERA_FILE, done, again)
+    again = f"station calibrate camera {shlex.quote(str(views))} --out {shlex.quote(str(out))} --force"
+    return Calibrated(out, out / CAMERA_FILE, done, again, taken.notices)
+
+
+def marker_refinement(board: CharucoBoard) -> RefineMarkers:
+    """As the station's detector finds markers' corners, of which it then corrects the edge shift."""
+    from station.perception.edges import linear_light, refine_corners
+
+    cells = int(load_dictionary(board.dictionary).markerSize) + 2
+
+    def refine(grey: Image, corners_px: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
+        refined = refine_corners(linear_light(grey), corners_px, cells)
+        return refined.corners_px, refined.good
+
+    return refine

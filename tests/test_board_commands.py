@@ -11,7 +11,7 @@ def test_a_board_is_drawn_and_described_beside_it(station, tmp_path: Path):
     code, out, err = station("board", "--squares", "6x8", "--out", tmp_path / "sheet.pdf")
     assert code == 0 and "1 page" in out and "measure both 100 mm rulers" in err
     board, measured = parse_board((tmp_path / "sheet.toml").read_text("utf-8"), "sheet.toml")
-    assert board == CharucoBoard(6, 8, 0.025, 0.01875, "DICT_5X5_100") and not measured
+    assert board == CharucoBoard(6, 8, 0.025, 0.0175, "DICT_5X5_100") and not measured
     code, _, err = station("board", "--out", tmp_path / "sheet.pdf")
     assert code == 1 and "sheet.pdf exists" in err
     assert station("board", "--out", tmp_path / "sheet.pdf", "--force")[0] == 0
@@ -44,7 +44,7 @@ def test_what_cannot_be_drawn_is_one_clear_error(station, tmp_path, monkeypatch,
 
 
 def test_a_board_file_reads_back_the_same():
-    board = CharucoBoard(7, 9, 0.025, 0.01875, "DICT_5X5_100", legacy=True)
+    board = CharucoBoard(7, 9, 0.025, 0.0175, "DICT_5X5_100", legacy=True)
     assert parse_board(format_board(board, measured=False), "b") == (board, False)
     printed = board.measured((99.5, 99.8))
     assert parse_board(format_board(printed, measured=True), "b") == (printed, True)

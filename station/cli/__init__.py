@@ -15,7 +15,7 @@ from station.cli import sessions  # noqa: F401 (its commands join the applicatio
 from station.cli import bus  # noqa: F401 (after them, as `station --help` lists the commands)
 
 # isort: split
-from station.cli import boards  # noqa: F401
+from station.cli import boards, camera  # noqa: F401
 
 # isort: split
 from station.cli.app import app, calibrate

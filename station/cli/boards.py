@@ -48,7 +48,7 @@ def board(
     ] = None,
     square_mm: Annotated[float, typer.Option("--square-mm", help="charuco: side of a square.")] = 25.0,
     marker_mm: Annotated[
-        float | None, typer.Option("--marker-mm", help="charuco: side of a marker; 3/4 of a square if left out.")
+        float | None, typer.Option("--marker-mm", help="charuco: side of a marker; 0.7 of a square if left out.")
     ] = None,
     dictionary: Annotated[
         str | None,
@@ -94,7 +94,7 @@ def _board(
         if not (columns.isdecimal() and rows.isdecimal()):
             raise typer.BadParameter(f"--squares {squares}: want columns x rows, such as 7x10")
         counts = int(columns), int(rows)
-    marker_mm = 0.75 * square_mm if marker_mm is None else marker_mm
+    marker_mm = 0.7 * square_mm if marker_mm is None else marker_mm
     return largest_board(paper.value, square_mm, marker_mm, dictionary or BOARD_DICTIONARY, counts)
 
 

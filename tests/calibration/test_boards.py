@@ -11,7 +11,7 @@ from calibration.errors import CalibrationError
 from calibration.pages import PAPERS_MM, Page, pdf, svg
 from calibration.sheets import charuco_page, largest_board, marker_pages
 
-BOARD = CharucoBoard(7, 9, 0.025, 0.01875, "DICT_5X5_100")
+BOARD = CharucoBoard(7, 9, 0.025, 0.0175, "DICT_5X5_100")
 DPI = 300.0
 MM_PER_PX = 25.4 / DPI
 # Pixel (0, 0) is the centre of the top-left pixel.
@@ -53,7 +53,7 @@ def test_the_layout_is_opencvs(squares: tuple[int, int], legacy: bool):
 @pytest.mark.parametrize("reader", ["pdf", "svg"])
 @pytest.mark.parametrize("paper", ["a4", "letter"])
 def test_a_printed_board_is_found_by_opencv_at_its_millimetres(paper: str, reader: str):
-    board = largest_board(paper, 25.0, 18.75, "DICT_5X5_100")
+    board = largest_board(paper, 25.0, 17.5, "DICT_5X5_100")
     page = charuco_page(board, paper)
     image = drawn_pdf([page])[0] if reader == "pdf" else drawn_svg(page)
     assert abs(np.array(image.shape[::-1]) * MM_PER_PX - PAPERS_MM[paper]).max() < 2 * MM_PER_PX
