@@ -60,7 +60,7 @@ class Stage:
 
     def __init__(self, rig: RigTable, simulation: SimulationTable, calibration: CameraModel, seed: int) -> None:
         self.tree = mechanism(simulation)
-        self.joints = tuple(joint.name for joint in rig.joint)
+        self.joints = tuple(joint.name for joint in rig.joint) or tuple(simulation.units())
         self._bodies = simulation.bodies()
         misplaced = _Misplacement(simulation, seed)
         camera = simulation.camera

@@ -46,6 +46,10 @@ class BusTable(StrictModel):
         return protocol
 
 
+# Of a rig without an arm: an object that people move, before a camera.
+NO_BUS = BusTable(port="none", protocol=2.0)
+
+
 class ServoTable(StrictModel):
     """`[[joint.servo]]`: zero is the position count at which the joint is at zero (the model's centre if not given).
 
@@ -161,11 +165,11 @@ class SafetyTable(StrictModel):
 
 
 class RigTable(StrictModel):
-    """The keys of rig.toml."""
+    """The keys of rig.toml; without [bus] and [[joint]] it is that of an object that is moved by hand."""
 
     name: str = "rig"
-    bus: BusTable
-    joint: Annotated[list[JointTable], Field(min_length=1)]
+    bus: BusTable = NO_BUS
+    joint: list[JointTable] = Field(default_factory=list[JointTable])
     camera: CameraSettings
     markers: MarkersModel
     safety: SafetyTable = SafetyTable()
@@ -178,6 +182,9 @@ class RigTable(StrictModel):
             ids = {marker.id for marker in self.markers.to_table().markers}
         except InvalidData as error:
             raise ValueError(str(error)) from error
+        if ("bus" in self.model_fields_set) != bool(self.joint):
+            have, lacks = ("[bus]", "[[joint]]") if "bus" in self.model_fields_set else ("[[joint]]", "[bus]")
+            raise ValueError(f"has {have} and no {lacks}; an arm has both, an object moved by hand neither")
         servos = [servo.id for joint in self.joint for servo in joint.servo]
         if len(set(servos)) != len(servos):
             raise ValueError(f"each servo id may stand once; have {servos}")
@@ -185,7 +192,8 @@ class RigTable(StrictModel):
             if self.bus.port == EMULATED or self.camera.source == RENDERED:
                 raise ValueError('port "emulated" and source "rendered" need a [simulation]')
         else:
-            check_simulation(self.simulation, {joint.name: joint.unit for joint in self.joint}, ids)
+            units = {joint.name: joint.unit for joint in self.joint} if self.joint else self.simulation.units()
+            check_simulation(self.simulation, units, ids)
         return self
 
     def limits(self) -> tuple[JointLimits, ...]:
