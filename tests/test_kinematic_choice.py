@@ -1,17 +1,24 @@
 """A fitted tree puts ambiguous poses on their side: parts seen nearly from the front, that hang from others."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from station import commands
 from station.fit.learner import learn
+from station.formats.camera import format_camera
+from station.formats.markers import format_markers
 from station.kinematic_choice import choose_by_tree
 from station.kinematics import se3
 from station.kinematics.tree import KinematicTree
 from station.logs import FloatArray
 from station.perception.markers import Marker, MarkerTable
+from station.perception.observations import MARKER_SHAPES, FrameMarkers, ObservationLog
+from station.recording import RecordingWriter
 from station.tracking import TrackedParts, track_parts
+from tests.made_sessions import describe
 from tests.test_tracking import AHEAD, CAMERA, DICTIONARY, FACING, SIZE_M, flips, watch
 
 FRAMES = 240
@@ -81,3 +88,26 @@ def test_a_second_marker_on_the_same_body_decides_too(tree: KinematicTree) -> No
     after = choose_by_tree(tracked, grouped)
     assert flips(tracked.hypotheses, tracked.choice.chosen[:, 0], lid) >= 10
     assert flips(tracked.hypotheses, after.chosen[:, 0], lid) <= 2
+
+
+def recorded(folder: Path, observations: ObservationLog) -> Path:
+    """A session of these observations, with black pictures."""
+    told = describe(
+        camera=format_camera(CAMERA), markers=format_markers(TABLE), joints=(), units=(), rig=None, motion=None
+    )
+    with RecordingWriter(folder, told, start_ns=0) as writer:
+        for frame, t_s in enumerate(observations.t_s):
+            rows = observations.frame == frame
+            markers = FrameMarkers(**{name: getattr(observations, name)[rows] for name in MARKER_SHAPES})
+            writer.log_frame(frame, round(t_s * 1e9) + 1, np.zeros((48, 64, 3), dtype=np.uint8), markers)
+        writer.close("complete", {})
+    return folder
+
+
+def test_fitting_a_session_says_how_many_poses_its_tree_turned_over(tmp_path: Path) -> None:
+    session = recorded(tmp_path / "lid", watch(swinging_lid(), TABLE, sigma_px=0.3))
+    result = commands.fit(session)
+    assert any("were turned over to agree with the tree" in notice for notice in result.notices)
+    assert [joint.type for joint in result.fit.tree.joints] == ["revolute"]
+    sure = recorded(tmp_path / "sure", watch(swinging_lid(40.0), TABLE, sigma_px=0.1))
+    assert not commands.fit(sure).notices
