@@ -18,7 +18,12 @@ from station.cli import logs  # noqa: F401 (after them, as `station --help` list
 from station.cli import bus  # noqa: F401
 
 # isort: split
-from station.cli.app import app
+from station.cli import arm_calibration  # noqa: F401 (its commands join `station calibrate`)
+
+# isort: split
+from station.cli.app import app, calibrate
+
+app.add_typer(calibrate)
 
 EXIT_ERROR, EXIT_HARDWARE, EXIT_SIGINT, EXIT_SIGTERM = 1, 3, 130, 143
 MAX_ERROR_LINES = 5
