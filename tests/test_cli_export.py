@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -36,7 +37,8 @@ def inputs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("inputs")
     with RecordingWriter(folder / "session", describe(rig=None), start_ns=START_NS) as writer:
         for frame in make_frames(FRAMES):
-            log_frame(writer, frame)
+            unknown = np.full_like(frame.markers.corner_covariance_px2, np.nan)
+            log_frame(writer, replace(frame, markers=replace(frame.markers, corner_covariance_px2=unknown)))
         writer.close("complete")
     (folder / "poses.csv").write_text(format_poses_csv(door_log()), "utf-8")
     write_fit(learn(door_log()), folder / "fit")
