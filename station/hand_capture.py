@@ -88,6 +88,7 @@ class HandCapture:
         return CaptureCounts(
             frames=worker.recorded,
             dropped_frames=worker.dropped + self._rig.camera.dropped,
+            stale_frames=self._rig.camera.stale,
             commands=0,
             readings=self._readings,
             bus_errors=sum(self._rig.arm.bus_errors.values()) if self._has_arm else 0,
