@@ -59,20 +59,27 @@ class MarkerDetector:
 
     def detect(self, image: NDArray[np.uint8]) -> Detections:
         """The markers in an 8-bit image, grey (H, W) or BGR (H, W, 3)."""
-        grey = _grey(image)
+        grey = as_grey(image)
+        return self.refine(grey, *self.search(grey))
+
+    def search(self, grey: NDArray[np.uint8]) -> tuple[NDArray[np.int64], FloatArray]:
+        """Ids (M,) and rough corners (M, 4, 2) px of what decodes as a marker, right to about 2 px."""
         found, ids, _ = self._detector.detectMarkers(grey)
         if ids is None or len(ids) == 0:
-            return Detections(np.zeros(0, dtype=np.int64), np.zeros((0, 4, 2)), np.zeros((0, 4, 2, 2)))
-        ids = np.asarray(ids, dtype=np.int64).reshape(-1)
-        rough = np.asarray(found, dtype=np.float64).reshape(-1, 4, 2)
-        refined = refine_corners(linear_light(grey), rough, self._cells)
+            return np.zeros(0, dtype=np.int64), np.zeros((0, 4, 2))
+        return np.asarray(ids, dtype=np.int64).reshape(-1), np.asarray(found, dtype=np.float64).reshape(-1, 4, 2)
+
+    def refine(self, grey: NDArray[np.uint8], ids: NDArray[np.int64], rough_px: FloatArray) -> Detections:
+        """What a search of the image found, corners refined; without what has no marker's edges."""
+        refined = refine_corners(linear_light(grey), rough_px, self._cells)
         values, counts = np.unique(ids, return_counts=True)
         keep = refined.good & np.isin(ids, values[counts == 1])
         covariance_px2 = np.broadcast_to(CORNER_SIGMA_PX**2 * np.eye(2), (int(keep.sum()), 4, 2, 2))
         return Detections(ids[keep], refined.corners_px[keep], covariance_px2)
 
 
-def _grey(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+def as_grey(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """An 8-bit image, grey (H, W) or BGR (H, W, 3), as grey; raises InvalidData for another."""
     if image.dtype != np.uint8 or image.ndim not in (2, 3) or (image.ndim == 3 and image.shape[2] != 3):
         raise InvalidData(f"image is {image.dtype} of shape {image.shape}; want uint8, (H, W) or (H, W, 3) BGR")
     return image if image.ndim == 2 else np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), dtype=np.uint8)
