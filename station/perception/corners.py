@@ -8,16 +8,15 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from calibration.intrinsics import CameraModel
 from station.errors import InvalidData
 from station.logs import FloatArray
-from station.perception.edges import linear_light, refine_corners
 from station.perception.markers import load_dictionary
+from station.perception.refinement import refine_corners
 
 # One window of the adaptive threshold instead of OpenCV's three (3, 13, 23 px): half the time at the same rate.
 THRESHOLD_WINDOW_PX = 13
 BORDER_CELLS = 1
-# Random error of a refined corner's coordinate on rendered frames.
-CORNER_SIGMA_PX = 0.05
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +45,7 @@ class MarkerDetector:
     nobody can tell which is meant.
     """
 
-    def __init__(self, dictionary: str) -> None:
+    def __init__(self, dictionary: str, camera: CameraModel | None = None) -> None:
         """Raises InvalidData if OpenCV has no dictionary of that name."""
         loaded = load_dictionary(dictionary)
         parameters = cv2.aruco.DetectorParameters()
@@ -55,7 +54,8 @@ class MarkerDetector:
         parameters.adaptiveThreshWinSizeMax = THRESHOLD_WINDOW_PX
         parameters.markerBorderBits = BORDER_CELLS
         self._detector = cv2.aruco.ArucoDetector(loaded, parameters)
-        self._cells = int(loaded.markerSize) + 2 * BORDER_CELLS
+        self._inner = _inner_bits(loaded)
+        self._camera = camera
 
     def detect(self, image: NDArray[np.uint8]) -> Detections:
         """The markers in an 8-bit image, grey (H, W) or BGR (H, W, 3)."""
@@ -71,11 +71,19 @@ class MarkerDetector:
 
     def refine(self, grey: NDArray[np.uint8], ids: NDArray[np.int64], rough_px: FloatArray) -> Detections:
         """What a search of the image found, corners refined; without what has no marker's edges."""
-        refined = refine_corners(linear_light(grey), rough_px, self._cells)
+        refined = refine_corners(grey, rough_px, self._inner[ids], self._camera)
         values, counts = np.unique(ids, return_counts=True)
         keep = refined.good & np.isin(ids, values[counts == 1])
-        covariance_px2 = np.broadcast_to(CORNER_SIGMA_PX**2 * np.eye(2), (int(keep.sum()), 4, 2, 2))
-        return Detections(ids[keep], refined.corners_px[keep], covariance_px2)
+        return Detections(ids[keep], refined.corners_px[keep], refined.covariance_px2[keep])
+
+
+def _inner_bits(dictionary: cv2.aruco.Dictionary) -> FloatArray:
+    """Bits (N, 4, n) behind the border of each marker, along its edges clockwise from the top: 1 = white."""
+    size = int(dictionary.markerSize)
+    bits = np.zeros((len(dictionary.bytesList), size + 2, size + 2))
+    for marker, code in enumerate(dictionary.bytesList):  # OpenCV unpacks one marker at a time
+        bits[marker, 1:-1, 1:-1] = cv2.aruco.Dictionary.getBitsFromByteList(code[None], size)
+    return np.stack([bits[:, 1], bits[:, :, -2], bits[:, -2, ::-1], bits[:, ::-1, 1]], axis=1)
 
 
 def as_grey(image: NDArray[np.uint8]) -> NDArray[np.uint8]:

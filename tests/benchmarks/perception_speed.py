@@ -2,8 +2,9 @@
 
 A stream of frames of a moving scene (640x480, 8 markers of 50 mm, 0.5 to 0.75 m away, tilts to 50 deg, mild blur and
 noise; grey, as the colour conversion is nobody's merit) is taken twice: each frame by detectMarkers and by our stages,
-one after the other, so that both see the same machine. Medians over the frames; `ratio` is to detectMarkers. The rate
-is that of the stages alone over the whole stream.
+one after the other, so that both see the same machine. Processor time, as what else the machine does is not the point;
+medians over the frames; the last column is the ratio to detectMarkers. The rate is that of our stages over the whole
+stream, by processor time.
 
 Run: python -m tests.benchmarks.perception_speed [--frames N] [--repeats N]
 """
@@ -53,17 +54,17 @@ def stream(frames: int) -> list[np.ndarray]:
 
 
 class Watch:
-    """Times of named stages, in s."""
+    """Processor times of named stages, in s."""
 
     def __init__(self) -> None:
         self.times: Stages = defaultdict(list)
-        self._last = time.perf_counter()
+        self._last = time.process_time()
 
     def start(self) -> None:
-        self._last = time.perf_counter()
+        self._last = time.process_time()
 
     def stop(self, stage: str) -> None:
-        now = time.perf_counter()
+        now = time.process_time()
         self.times[stage].append(now - self._last)
         self._last = now
 
