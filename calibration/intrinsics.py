@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -54,6 +54,7 @@ class CameraModel:
         rms_px: RMS reprojection error of the calibration.
         edge_shift_px: where a black square's edges are seen, along their outward normals; negative = it looks smaller
             (blur through gamma). None = not known, nothing is corrected.
+        edge_shift_std_px: its standard deviation; None = not known.
         readout_s: time from the first to the last row of a rolling shutter.
         when: when it was calibrated, in words or ISO 8601.
         matrix_std: (3, 3) standard deviations of the matrix, px.
@@ -68,6 +69,7 @@ class CameraModel:
     distortion: FloatArray
     rms_px: float | None = None
     edge_shift_px: float | None = None
+    edge_shift_std_px: float | None = None
     readout_s: float | None = None
     when: str | None = None
     matrix_std: FloatArray | None = None
@@ -81,12 +83,30 @@ class CameraModel:
         _check_matrix(self.matrix)
         _check_scalar(self.rms_px, "rms_px", 0.0)
         _check_scalar(self.edge_shift_px, "edge_shift_px", -float(np.finfo(np.float64).max))
+        _check_scalar(self.edge_shift_std_px, "edge_shift_std_px", 0.0)
         _check_scalar(self.readout_s, "readout_s", 0.0)
         for what, shape in (("matrix_std", (3, 3)), ("distortion_std", (DISTORTION_COEFFICIENTS,))):
             if (values := getattr(self, what)) is not None:
                 object.__setattr__(self, what, std := _frozen(values, shape, what))
                 if np.any(std < 0):
                     raise CalibrationError(f"camera {what} has negative standard deviations")
+
+    def scaled_to(self, size_px: tuple[int, int]) -> CameraModel:
+        """The camera of the same picture at another size: of the whole of it, scaled, and not cut.
+
+        The shift of edges is not known at another size: blur and what a camera does to edges are of its pixels.
+        """
+        factor = np.array([size_px[0] / self.size_px[0], size_px[1] / self.size_px[1], 1.0])[:, None]
+        centre = np.zeros((3, 3))  # of the top-left pixel, which is 0: half a pixel from the picture's corner
+        centre[:2, 2] = 0.5
+        return replace(
+            self,
+            size_px=size_px,
+            matrix=factor * (self.matrix + centre) - centre,
+            rms_px=None if self.rms_px is None else self.rms_px * float(np.sqrt(factor[0, 0] * factor[1, 0])),
+            matrix_std=None if self.matrix_std is None else factor * self.matrix_std,
+            edge_shift_px=None,
+        )
 
 
 def _distort(xy: FloatArray, distortion: FloatArray) -> FloatArray:

@@ -95,5 +95,37 @@ class NoCamera(CameraError):
     """The camera or video file isn't there, can't be opened, or refuses the settings."""
 
 
+class SettingRefused(NoCamera):
+    """The camera doesn't keep a setting that was asked for."""
+
+
 class CameraStalled(CameraError):
     """The camera stopped delivering frames."""
+
+
+class CameraLost(CameraStalled):
+    """The camera vanished: its device is gone, its connection closed."""
+
+
+class CameraEnded(CameraStalled):
+    """There are no more frames: the video or folder was read to its end."""
+
+
+class NoFrames(NoCamera):
+    """What should hold frames is there, and holds none: an empty file, no video, a folder without images."""
+
+
+class WrongSize(CameraError):
+    """A frame has another size than it must have."""
+
+
+class DamagedFrames(CameraError):
+    """Stored frames can't be read from some frame on.
+
+    Attributes:
+        frames: how many were read before.
+    """
+
+    def __init__(self, message: str, *, frames: int) -> None:
+        super().__init__(message)
+        self.frames = frames

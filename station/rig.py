@@ -8,22 +8,25 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from calibration.intrinsics import CameraModel
+from drivers.addresses import without_secrets
 from drivers.arm import Arm
 from drivers.camera import Camera
+from drivers.camera_sources import open_camera
 from drivers.clock import Clock, MonotonicClock, VirtualClock
 from drivers.dynamixel import DynamixelBus
 from drivers.rendered_camera import RenderedCamera
 from drivers.safety import SafetyLimits
-from drivers.webcam import Webcam
 from station.emulated_arm import EmulatedArm
 from station.errors import InvalidData
 from station.formats.rig import EMULATED, RENDERED, RigTable, load_calibration
 from station.formats.simulation import SimulatedCamera, SimulationTable
+from station.hand_motion import HandMotion, HandMovedObject
 from station.perception.markers import MarkerTable
 from station.rig_reading import joint_configs, read_rig
 from station.stage import Stage
@@ -36,7 +39,10 @@ FAULTY_REPLY_TIMEOUT_S = 0.5
 
 @dataclass(frozen=True)
 class RigFile:
-    """A rig as it was read: its table, its text for the session's copy, and the camera's calibration."""
+    """A rig as it was read: its table, its text for the session's copy, and the camera's calibration.
+
+    In the text, addresses have no passwords: it is recorded.
+    """
 
     table: RigTable
     text: str
@@ -61,33 +67,44 @@ class Rig:
 def load_rig(name_or_path: str) -> RigFile:
     """Read a rig and its camera's calibration; raises InvalidFile."""
     table, text, path = read_rig(name_or_path)
-    return RigFile(table, text, str(path), load_calibration(table, path.parent, str(path)))
+    return RigFile(table, without_secrets(text), str(path), load_calibration(table, path.parent, str(path)))
 
 
 @contextmanager
-def open_rig(rig: RigFile, *, simulate: bool = False, realtime: bool = False, seed: int | None = None) -> Iterator[Rig]:
+def open_rig(
+    rig: RigFile,
+    *,
+    simulate: bool = False,
+    realtime: bool = False,
+    seed: int | None = None,
+    by_hand: HandMotion | None = None,
+) -> Iterator[Rig]:
     """Open a rig's devices and close them after.
 
     Args:
         simulate: use the emulated bus and the rendered camera whatever the rig names; needs a `[simulation]`.
         realtime: run simulated devices on the real clock; else they run on a virtual one, the same on any machine.
         seed: of everything random in the simulation; the rig's own if None.
+        by_hand: what a hand does to the emulated arm, or to the simulated object of a rig without an arm.
+
+    The arm of a rig without servos has no joints and no open port.
 
     Raises:
         InvalidData: a simulation is asked for and not described, or a rendered camera looks at a real arm.
         DriverError: a port or camera that isn't there.
     """
     table = rig.table
-    emulated = simulate or table.bus.port == EMULATED
+    has_arm = bool(table.joint)
+    emulated = has_arm and (simulate or table.bus.port == EMULATED)
     rendered = simulate or table.camera.source == RENDERED
     simulation = table.simulation
     if (emulated or rendered) and simulation is None:
         raise InvalidData(f"{rig.name} has no [simulation]: it can't run without its hardware")
-    if rendered and not emulated:
+    if rendered and has_arm and not emulated:
         raise InvalidData(
             f'{rig.name}: a rendered camera can\'t see a real arm; set port = "emulated" or a camera source'
         )
-    virtual = emulated and rendered and not realtime
+    virtual = rendered and not realtime
     clock: Clock = VirtualClock() if virtual else MonotonicClock()
     if simulation is not None and seed is None:
         seed = simulation.seed
@@ -99,17 +116,22 @@ def open_rig(rig: RigFile, *, simulate: bool = False, realtime: bool = False, se
             port, baud=table.bus.baud, protocol=table.bus.protocol, clock=clock, reply_timeout_s=timeout_s
         )
         arm = Arm(
-            stack.enter_context(client),
+            stack.enter_context(client) if has_arm else client,
             joint_configs(table),
             clock,
             disagreement_rad=float(np.radians(table.safety.disagreement_deg)),
             limits=safety_limits(table),
         )
-        if bus is not None and simulation is not None and rendered:
+        if simulation is not None and rendered:
             stage = Stage(table, simulation, rig.camera_model, seed or 0)
-            camera: Camera = rendered_camera(table, simulation.camera, stage, bus, clock, realtime=not virtual)
+            moved = bus or HandMovedObject(len(stage.joints), by_hand, clock.now_ns())
+            camera: Camera = rendered_camera(table, simulation.camera, stage, moved, clock, realtime=not virtual)
         else:
-            camera = Webcam(table.camera.source, frame_size(table), table.camera.fps, clock)
+            camera = real_camera(table, clock)
+        if bus is not None and by_hand is not None:
+            start_ns = clock.now_ns()
+            for joint, state, speed, t_s in by_hand.pushes():
+                bus.push(joint, state, speed, start_ns + round(t_s * 1e9))
         stack.callback(camera.close)
         camera.start()
         simulated_seed = seed if emulated or rendered else None
@@ -126,6 +148,19 @@ def frame_size(table: RigTable) -> tuple[int, int]:
     return (table.camera.size_px[0], table.camera.size_px[1])
 
 
+def real_camera(table: RigTable, clock: Clock) -> Camera:
+    """The camera that the rig names, not started yet; raises CameraError for one that can't be."""
+    camera = table.camera
+    return open_camera(
+        camera.source,
+        size_px=frame_size(table),
+        fps=camera.fps,
+        clock=clock,
+        stall_s=camera.stall_s,
+        controls=camera.controls(),
+    )
+
+
 def safety_limits(table: RigTable) -> SafetyLimits:
     """The rig's thresholds as the arm takes them."""
     safety = table.safety
@@ -140,21 +175,33 @@ def safety_limits(table: RigTable) -> SafetyLimits:
     )
 
 
+class Moved(Protocol):
+    """What has joints that move: an emulated arm, or an object in a hand."""
+
+    def joint_states(self, t_ns: int) -> NDArray[np.float64]:
+        """(J,) true states at a time of the clock, in the order of the stage."""
+        ...
+
+
 def rendered_camera(
-    table: RigTable, camera: SimulatedCamera, stage: Stage, bus: EmulatedArm, clock: Clock, *, realtime: bool
+    table: RigTable, camera: SimulatedCamera, stage: Stage, moved: Moved, clock: Clock, *, realtime: bool
 ) -> RenderedCamera:
-    """The camera that sees the emulated arm on its stage; not started yet."""
+    """The camera that sees what moves on its stage; not started yet."""
     shares = (np.arange(camera.blur_instants) + 0.5) / camera.blur_instants - 0.5
-    offsets_ns = np.round(shares * camera.exposure_s * 1e9).astype(int).tolist()
+    # (instants, knots): each knot of the rolling shutter has all instants of the exposure.
+    offsets_s = shares[:, None] * camera.exposure_s + stage.knots_s
+    offsets_ns = np.round(offsets_s * 1e9).astype(int)
 
     def render(t_mid_ns: int, index: int) -> NDArray[np.uint8]:
-        return stage.render(np.stack([bus.joint_states(t_mid_ns + offset) for offset in offsets_ns]), index)
+        states = [moved.joint_states(t_mid_ns + offset) for offset in offsets_ns.ravel().tolist()]
+        return stage.render(np.reshape(states, (*offsets_ns.shape, -1)), index)
 
     return RenderedCamera(
         render,
         size_px=frame_size(table),
         fps=table.camera.fps,
         exposure_s=camera.exposure_s,
+        readout_s=stage.readout_s,
         latency_s=camera.latency_s,
         clock=clock,
         realtime=realtime,

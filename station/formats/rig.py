@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -10,11 +11,12 @@ from pydantic import Field, field_validator, model_validator
 
 from calibration.errors import CalibrationError
 from calibration.intrinsics import CameraModel
+from drivers.camera import STALL_S, Controls
 from station.errors import InvalidData, InvalidFile
-from station.formats.camera import CameraTable, parse_camera
+from station.formats.camera import CameraTable
+from station.formats.camera_files import read_camera
 from station.formats.markers import MarkersModel
 from station.formats.simulation import MM_PER_M, NotNegative, Positive, SimulationTable, check_simulation
-from station.formats.text import read_text
 from station.formats.toml_models import StrictModel, parse
 from station.logs import check_slugs
 from station.motion import JointLimits, Unit
@@ -42,6 +44,10 @@ class BusTable(StrictModel):
         if protocol not in PROTOCOLS:
             raise ValueError(f"want 1.0 or 2.0; have {protocol}")
         return protocol
+
+
+# Of a rig without an arm: an object that people move, before a camera.
+NO_BUS = BusTable(port="none", protocol=2.0)
 
 
 class ServoTable(StrictModel):
@@ -113,7 +119,10 @@ class JointTable(StrictModel):
 class CameraSettings(StrictModel):
     """`[camera]`: where frames come from, and the calibration as a file or inline.
 
-    latency_s is the time from the middle of the exposure to the stamp, taken off each frame's stamp.
+    latency_s is the time from the middle of the exposure (of the middle row) to the stamp, taken off each frame's
+    stamp; readout_s the time from the first to the last row of a rolling shutter, which goes before the calibration's;
+    stall_s how long a camera may give no new frame. pixel_format, exposure_ms, focus, gain (both in the camera's own
+    steps) and white_balance_k are set, locked and read back where they are given.
     """
 
     source: int | str
@@ -121,7 +130,17 @@ class CameraSettings(StrictModel):
     fps: Positive
     readout_s: NotNegative | None = None
     latency_s: float = 0.0
+    stall_s: Positive = STALL_S
+    pixel_format: Annotated[str, Field(pattern=r"^[ -~]{4}$")] | None = None
+    exposure_ms: Positive | None = None
+    focus: NotNegative | None = None
+    gain: NotNegative | None = None
+    white_balance_k: Positive | None = None
     calibration: str | CameraTable | None = None
+
+    def controls(self) -> Controls:
+        """What is to be locked."""
+        return Controls(self.pixel_format, self.exposure_ms, self.focus, self.gain, self.white_balance_k)
 
 
 class SafetyTable(StrictModel):
@@ -146,11 +165,11 @@ class SafetyTable(StrictModel):
 
 
 class RigTable(StrictModel):
-    """The keys of rig.toml."""
+    """The keys of rig.toml; without [bus] and [[joint]] it is that of an object that is moved by hand."""
 
     name: str = "rig"
-    bus: BusTable
-    joint: Annotated[list[JointTable], Field(min_length=1)]
+    bus: BusTable = NO_BUS
+    joint: list[JointTable] = Field(default_factory=list[JointTable])
     camera: CameraSettings
     markers: MarkersModel
     safety: SafetyTable = SafetyTable()
@@ -163,6 +182,9 @@ class RigTable(StrictModel):
             ids = {marker.id for marker in self.markers.to_table().markers}
         except InvalidData as error:
             raise ValueError(str(error)) from error
+        if ("bus" in self.model_fields_set) != bool(self.joint):
+            have, lacks = ("[bus]", "[[joint]]") if "bus" in self.model_fields_set else ("[[joint]]", "[bus]")
+            raise ValueError(f"has {have} and no {lacks}; an arm has both, an object moved by hand neither")
         servos = [servo.id for joint in self.joint for servo in joint.servo]
         if len(set(servos)) != len(servos):
             raise ValueError(f"each servo id may stand once; have {servos}")
@@ -170,7 +192,8 @@ class RigTable(StrictModel):
             if self.bus.port == EMULATED or self.camera.source == RENDERED:
                 raise ValueError('port "emulated" and source "rendered" need a [simulation]')
         else:
-            check_simulation(self.simulation, {joint.name: joint.unit for joint in self.joint}, ids)
+            units = {joint.name: joint.unit for joint in self.joint} if self.joint else self.simulation.units()
+            check_simulation(self.simulation, units, ids)
         return self
 
     def limits(self) -> tuple[JointLimits, ...]:
@@ -188,7 +211,7 @@ def parse_rig(text: str, name: str) -> RigTable:
 
 
 def load_calibration(rig: RigTable, folder: Path, name: str) -> CameraModel:
-    """The camera's calibration, inline or from a file relative to the rig's folder.
+    """The camera's calibration, inline or from a file relative to the rig's folder, with the rig's readout_s if any.
 
     Raises:
         InvalidFile: none is given, the file is missing or wrong, or it is for another frame size.
@@ -200,7 +223,7 @@ def load_calibration(rig: RigTable, folder: Path, name: str) -> CameraModel:
             'give calibration = "camera.toml" under [camera], or an inline [camera.calibration]'
         )
     try:
-        camera = given.to_camera() if isinstance(given, CameraTable) else _read_camera(folder / given)
+        camera = given.to_camera() if isinstance(given, CameraTable) else read_camera(folder / given)
     except CalibrationError as error:
         raise InvalidFile(f"{name}, camera, calibration: {error}") from error
     if list(camera.size_px) != rig.camera.size_px:
@@ -209,8 +232,4 @@ def load_calibration(rig: RigTable, folder: Path, name: str) -> CameraModel:
             f"the camera is set to {rig.camera.size_px[0]} x {rig.camera.size_px[1]} px\n"
             "calibrate at the size that is captured, or set size_px to the calibration's"
         )
-    return camera
-
-
-def _read_camera(path: Path) -> CameraModel:
-    return parse_camera(read_text(path, "calibration"), str(path))
+    return camera if rig.camera.readout_s is None else replace(camera, readout_s=rig.camera.readout_s)
