@@ -48,6 +48,12 @@ def passing(t_s: FloatArray) -> FloatArray:
     return se3.translation(np.stack([-0.25 + 0.25 * t_s, 0 * t_s, 0.45 + 0 * t_s], axis=-1))
 
 
+def creeping(t_s: FloatArray) -> FloatArray:
+    """A dark finger that lies across a corner of the plate, then across its edge, then over its middle."""
+    x = -0.035 + 0.045 * t_s
+    return se3.pose(se3.exp_so3(np.array([0, 0, 0.5])), np.stack([x, -0.045 + 0.5 * x, 0.56 + 0 * t_s], axis=-1))
+
+
 def faster_and_faster(t_s: FloatArray) -> FloatArray:
     """To and fro at constant speeds, each stroke faster: 0.05 m/s to 3 m/s."""
     phase = 2 * (0.15 * t_s + 0.9 * t_s**3)
@@ -73,9 +79,11 @@ class Case:
     filmed: dict[str, Any] = field(default_factory=dict)
 
 
+FINGER = Box(1, np.eye(4), np.array([0.014, 0.09, 0.01]), (25, 30, 35))
 SMEARED = "smeared by motion"
 CASES = {
     "hidden by a hand": Case(moving_plate(still, boxes=(HAND,), more=(passing,)), 60, 66),
+    "under a dark finger": Case(moving_plate(still, boxes=(FINGER,), more=(creeping,)), 10, 60),
     SMEARED: Case(moving_plate(faster_and_faster), 8, 60, {"exposure_s": 0.03, "instants": 12}),
     "cut on the right": Case(moving_plate(out_to_the_right), 38, 48),
     "cut at the bottom": Case(moving_plate(out_at_the_bottom), 36, 46, {"exposure_s": 0.01, "instants": 4}),
