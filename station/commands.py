@@ -39,6 +39,7 @@ from station.session import (
     check_output_folder,
     read_status,
 )
+from station.smoothing import smoother
 
 if TYPE_CHECKING:
     from station.capture import CaptureCounts, Progress
@@ -277,7 +278,14 @@ class FitResult:
     notices: tuple[str, ...] = ()
 
 
-def fit(source: Path, out: Path | None = None, *, options: FitOptions | None = None, force: bool = False) -> FitResult:
+def fit(
+    source: Path,
+    out: Path | None = None,
+    *,
+    options: FitOptions | None = None,
+    smooth: str | None = None,
+    force: bool = False,
+) -> FitResult:
     """Discover the kinematic tree in a session, or in a log of poses, and write it.
 
     Writes kinematics.json, joint_states.csv, kinematics.urdf and a drawing of tree and states; for a session also
@@ -287,10 +295,15 @@ def fit(source: Path, out: Path | None = None, *, options: FitOptions | None = N
     Args:
         source: a session folder, a recording, or a pose log in any format that is read.
         out: new or empty folder; for a session its own fit/ if None.
+        options: how to fit.
+        smooth: a smoother of the poses, see `station.smoothing.smoother`; it correlates the noise of neighbouring
+            frames, which the fit takes for independent, so that what it states of its certainty is too good.
+        force: overwrite an earlier fit in `out`.
 
     Raises:
-        StationError: the input can't be read or has nothing to fit; `out` is occupied.
+        StationError: the input can't be read or has nothing to fit; `out` is occupied; there is no such smoother.
     """
+    smoothed = smoother(smooth) if smooth else None
     if not source.exists():
         raise InvalidFile(f"no input '{source}'; want a session folder, a recording.rrd or a log of poses")
     session = load_session(source) if is_session(source) else None
@@ -301,6 +314,7 @@ def fit(source: Path, out: Path | None = None, *, options: FitOptions | None = N
     check_output_folder(out, force=force)
     poses = read_pose_log(source) if session is None else session.poses
     try:
+        poses = smoothed(poses) if smoothed else poses
         found = learn(poses, options or FitOptions())
     except InvalidData as error:
         raise InvalidData(f"{source}: {error}") from error
