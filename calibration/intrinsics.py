@@ -54,6 +54,7 @@ class CameraModel:
         rms_px: RMS reprojection error of the calibration.
         edge_shift_px: where a black square's edges are seen, along their outward normals; negative = it looks smaller
             (blur through gamma). None = not known, nothing is corrected.
+        edge_shift_std_px: its standard deviation; None = not known.
         readout_s: time from the first to the last row of a rolling shutter.
         when: when it was calibrated, in words or ISO 8601.
         matrix_std: (3, 3) standard deviations of the matrix, px.
@@ -68,6 +69,7 @@ class CameraModel:
     distortion: FloatArray
     rms_px: float | None = None
     edge_shift_px: float | None = None
+    edge_shift_std_px: float | None = None
     readout_s: float | None = None
     when: str | None = None
     matrix_std: FloatArray | None = None
@@ -81,6 +83,7 @@ class CameraModel:
         _check_matrix(self.matrix)
         _check_scalar(self.rms_px, "rms_px", 0.0)
         _check_scalar(self.edge_shift_px, "edge_shift_px", -float(np.finfo(np.float64).max))
+        _check_scalar(self.edge_shift_std_px, "edge_shift_std_px", 0.0)
         _check_scalar(self.readout_s, "readout_s", 0.0)
         for what, shape in (("matrix_std", (3, 3)), ("distortion_std", (DISTORTION_COEFFICIENTS,))):
             if (values := getattr(self, what)) is not None:

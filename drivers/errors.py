@@ -95,8 +95,20 @@ class NoCamera(CameraError):
     """The camera or video file isn't there, can't be opened, or refuses the settings."""
 
 
+class SettingRefused(NoCamera):
+    """The camera doesn't keep a setting that was asked for."""
+
+
 class CameraStalled(CameraError):
     """The camera stopped delivering frames."""
+
+
+class CameraLost(CameraStalled):
+    """The camera vanished: its device is gone, its connection closed."""
+
+
+class CameraEnded(CameraStalled):
+    """There are no more frames: the video or folder was read to its end."""
 
 
 class NoFrames(NoCamera):

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
-from drivers.camera import Frame, FrameQueue, Image
+from drivers.camera import Frame, FrameQueue, Image, Setting
 from drivers.clock import Clock
 from drivers.errors import CameraError
 
@@ -13,7 +13,10 @@ NS = 1_000_000_000
 
 
 class RenderedCamera:
-    """Frame k is exposed from `start + k / fps` on for `exposure_s`, and arrives `latency_s` after its exposure ends.
+    """Frame k is exposed from `start + k / fps` on, and arrives `latency_s` after its exposure ends.
+
+    Each row is exposed for `exposure_s`; the rows of a rolling shutter (`readout_s` > 0) one after another, so that the
+    last row's exposure begins and ends `readout_s` after the first row's.
 
     On a virtual clock (`realtime=False`) nothing runs beside the caller: `read` puts the clock forward to the frame's
     arrival and renders it. Every frame is delivered, in order, however late it is asked for; one that arrived while
@@ -21,10 +24,12 @@ class RenderedCamera:
     exposure is over, as what it shows isn't known before; frames that it can't keep up with are dropped and counted.
 
     Args:
-        render: takes the middle of the exposure (ns on the clock) and the frame's index, gives an image (H, W, 3).
+        render: takes the middle of the middle row's exposure (ns on the clock) and the frame's index, gives an image
+            (H, W, 3).
         size_px: (width, height) of the images; others are refused.
         fps: frames a second.
         exposure_s: how long the shutter is open, at most a frame's time.
+        readout_s: from the first to the last row of a rolling shutter, at most a frame's time.
         latency_s: from the end of the exposure to the arrival.
         clock: gives the stamps.
         realtime: whether the clock runs by itself.
@@ -40,23 +45,32 @@ class RenderedCamera:
         size_px: tuple[int, int],
         fps: float,
         exposure_s: float,
+        readout_s: float = 0.0,
         latency_s: float,
         clock: Clock,
         realtime: bool,
     ) -> None:
-        if not fps > 0 or not 0 <= exposure_s <= 1 / fps or latency_s < 0:
-            have = f"fps {fps}, exposure {exposure_s} s, latency {latency_s} s"
-            raise CameraError(f"rendered camera: have {have}; want fps > 0, exposure 0 to 1 / fps, latency >= 0")
+        if not fps > 0 or not 0 <= exposure_s <= 1 / fps or not 0 <= readout_s <= 1 / fps or latency_s < 0:
+            have = f"fps {fps}, exposure {exposure_s} s, readout {readout_s} s, latency {latency_s} s"
+            want = "fps > 0, exposure 0 to 1 / fps, readout 0 to 1 / fps, latency >= 0"
+            raise CameraError(f"rendered camera: have {have}; want {want}")
         self._render = render
         self._size_px = size_px
         self._fps = fps
-        self._exposure_ns = round(exposure_s * NS)
+        self._exposure_ns = round((exposure_s + readout_s) * NS)
+        self._settings: Mapping[str, Setting] = {
+            "source": "rendered",
+            "size_px": f"{size_px[0]}x{size_px[1]}",
+            "fps": fps,
+            "exposure_ms": exposure_s * 1e3,
+            "exposure_locked": True,
+        }
         self._latency_ns = round(latency_s * NS)
         self._clock = clock
         self._realtime = realtime
         self._start_ns: int | None = None
         self._next = 0
-        self._queue = FrameQueue()
+        self._queue: FrameQueue[Frame] = FrameQueue()
         self._held: Frame | None = None
         self._thread: threading.Thread | None = None
 
@@ -74,6 +88,16 @@ class RenderedCamera:
     def dropped(self) -> int:
         """Frames since `start` that were skipped because rendering or reading fell behind; 0 on a virtual clock."""
         return self._queue.dropped
+
+    @property
+    def stale(self) -> int:
+        """None ever are."""
+        return 0
+
+    @property
+    def settings(self) -> Mapping[str, Setting]:
+        """As it was made."""
+        return self._settings
 
     def start(self) -> None:
         """Open the shutter for frame 0 now."""
@@ -137,7 +161,7 @@ class RenderedCamera:
             raise CameraError(f"rendered camera: frame {index} has {have} px; want {self._size_px}")
         return frame
 
-    def _run(self, queue: FrameQueue, start_ns: int) -> None:
+    def _run(self, queue: FrameQueue[Frame], start_ns: int) -> None:
         """The thread: renders each frame when its exposure is over, skips those that a newer one has overtaken."""
         index = 0
         while not queue.closed:

@@ -1,22 +1,33 @@
-"""Any camera or video file that OpenCV can open: a thread takes the frames and stamps them as they arrive."""
+"""Any camera that OpenCV can open, by its index, device or address."""
 
 from __future__ import annotations
 
-import contextlib
-import threading
-from collections.abc import Generator
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import cast
 
 import cv2
 import numpy as np
 
-from drivers.camera import Frame, FrameQueue
+from drivers.addresses import without_secrets
+from drivers.camera import STALL_S, Controls, Image, Setting
 from drivers.clock import Clock
-from drivers.errors import CameraError, CameraStalled, NoCamera
+from drivers.controls import Capture, lock_controls, read_settings, set_pixel_format
+from drivers.errors import CameraError, CameraLost, NoCamera, SettingRefused
+from drivers.live_camera import LiveCamera, Taken
+from drivers.quiet_opencv import quiet_opencv
+from drivers.stamps import Gaps, choose_stamp
 
 NS = 1_000_000_000
 # Seconds between two tries after a camera failed to give a frame.
 RETRY_S = 0.02
+# Every so many rows and columns are compared first: of two frames that differ, nearly all differ there.
+THINNED = 8
+V4L2 = "V4L2"
+
+OpenCapture = Callable[[int | str, int, Sequence[int]], Capture]
 
 
 def video_devices() -> list[str]:
@@ -24,188 +35,162 @@ def video_devices() -> list[str]:
     return sorted((str(path) for path in Path("/dev").glob("video*")), key=lambda path: (len(path), path))
 
 
-@contextlib.contextmanager
-def _quiet_opencv() -> Generator[None, None, None]:
-    """Keep OpenCV's own warnings off the terminal: the error that follows says it better."""
-    level = cv2.utils.logging.getLogLevel()
-    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
-    try:
-        yield
-    finally:
-        cv2.utils.logging.setLogLevel(level)
+def open_capture(source: int | str, backend: int, parameters: Sequence[int]) -> Capture:
+    """The source through OpenCV."""
+    return cast(Capture, cv2.VideoCapture(source, backend, parameters))
 
 
-class Webcam:
-    """A camera by its index or device path, or a video file or address, through `cv2.VideoCapture`.
+def webcam(
+    source: int | str,
+    *,
+    size_px: tuple[int, int] | None,
+    fps: float | None,
+    clock: Clock,
+    stall_s: float = STALL_S,
+    controls: Controls | None = None,
+    opener: OpenCapture = open_capture,
+) -> LiveCamera:
+    """A camera by its index or device path, or by an address that OpenCV opens, such as rtsp://.
 
-    Frames are stamped right after `grab()`, before they are decoded. A camera's frames that nobody reads in time are
-    dropped, oldest first, and counted. A file is played at its own speed, waits for its reader and loses nothing.
+    Frames are stamped right after `grab()`, before they are decoded; with the driver's own stamp where OpenCV gives
+    it (V4L2) and it agrees with the arrival.
 
     Args:
-        source: index of a camera, path of a device or a video file, or an address that OpenCV opens.
-        size_px: (width, height) that the frames must have.
-        fps: frames a second to ask a camera for. What the camera or file says it gives is in `fps` after `start`.
-        clock: gives the stamps. It must run by itself, but for video files.
-        stall_s: a camera that gives no frame for so long has stalled.
-
-    Not handled: exposure and focus, pixel formats, time stamps of the camera's driver.
+        source: index, device path or address.
+        size_px, fps: to ask for; None for what the camera has anyway.
+        clock: gives the stamps; it must be the machine's monotonic clock for the driver's stamps to be used.
+        stall_s: without a new frame for so long, the camera has stalled.
+        controls: what to lock, and at what.
+        opener: opens the source; a test has its own.
     """
+    wanted = _Wanted(source, size_px, fps, stall_s, controls or Controls())
+    return LiveCamera(
+        wanted.name, lambda: _opened(wanted, clock, opener), size_px=size_px, clock=clock, stall_s=stall_s
+    )
 
-    def __init__(
-        self, source: int | str, size_px: tuple[int, int], fps: float, clock: Clock, stall_s: float = 2.0
-    ) -> None:
-        self._source = source
-        self._size_px = size_px
-        self._fps = fps
-        self._clock = clock
-        self._stall_ns = round(stall_s * NS)
-        self._is_file = isinstance(source, str) and Path(source).is_file()
-        self._queue = FrameQueue()
-        self._heard_ns = 0
-        self._thread: threading.Thread | None = None
 
-    @property
-    def size_px(self) -> tuple[int, int]:
-        """(width, height)."""
-        return self._size_px
+@dataclass(frozen=True)
+class _Wanted:
+    source: int | str
+    size_px: tuple[int, int] | None
+    fps: float | None
+    stall_s: float
+    controls: Controls
 
     @property
-    def fps(self) -> float:
-        """Frames a second: as asked for, and after `start` as the camera or file says, if it says anything."""
-        return self._fps
+    def name(self) -> str:
+        return f"camera {self.source}" if isinstance(self.source, int) else f"camera '{without_secrets(self.source)}'"
 
     @property
-    def dropped(self) -> int:
-        """Frames since `start` that came and were lost before they were read."""
-        return self._queue.dropped
+    def path(self) -> str | None:
+        """The device's path; None of an address."""
+        if isinstance(self.source, int):
+            return f"/dev/video{self.source}" if sys.platform == "linux" else None
+        return None if "://" in self.source else self.source
 
-    def start(self) -> None:
-        """Open the camera, read its settings back and start taking frames.
 
-        Raises:
-            NoCamera: if there is no such camera or file, or it can't be opened.
-            CameraError: if it gives frames of another size.
-        """
-        self.close()
-        with _quiet_opencv():
-            capture = self._opened()
+def _opened(wanted: _Wanted, clock: Clock, opener: OpenCapture) -> CaptureSource:
+    devices = ", ".join(video_devices()) or "no video device"
+    # Looked for first, as OpenCV's back ends write to the terminal what they miss.
+    if wanted.path is not None and not Path(wanted.path).exists():
+        raise NoCamera(f"{wanted.name}: there is no {wanted.path}; this machine has {devices}; give one of these")
+    backend, parameters = cv2.CAP_ANY, list[int]()
+    if wanted.path is not None and sys.platform == "linux":
+        backend = cv2.CAP_V4L2
+    elif isinstance(wanted.source, str):
+        backend, stall_ms = cv2.CAP_FFMPEG, round(wanted.stall_s * 1e3)  # else 30 s each (cap_ffmpeg_impl.hpp)
+        parameters = [cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, stall_ms, cv2.CAP_PROP_READ_TIMEOUT_MSEC, stall_ms]
+    with quiet_opencv():
+        capture = opener(wanted.source, backend, parameters)
+        if not capture.isOpened():
+            capture.release()
+            raise NoCamera(
+                f"{wanted.name} can't be opened; another program may hold it, or nothing answers there\n"
+                f"this machine has {devices}"
+            )
         try:
-            self._check_settings(capture)
+            return CaptureSource(capture, wanted, clock)
         except CameraError:
             capture.release()
             raise
-        self._queue = FrameQueue()
-        self._heard_ns = self._clock.now_ns()
-        self._thread = threading.Thread(target=self._run, args=(capture, self._queue), name="webcam", daemon=True)
-        self._thread.start()
 
-    def read(self, until_ns: int) -> Frame | None:
-        """The next frame as soon as it is there; None if none came by `until_ns`.
 
-        Raises:
-            CameraStalled: if no frame came for `stall_s`, or the file is at its end.
-            CameraError: if the camera isn't started.
-        """
-        if self._thread is None:
-            raise CameraError(f"{self._name}: read before start(); call start() first")
-        stalled_ns = self._heard_ns + self._stall_ns
-        frame = self._queue.get_until(min(until_ns, stalled_ns), self._clock)
-        if frame is not None:
-            self._heard_ns = max(self._heard_ns, frame.t_ns)
-            return frame
-        if self._clock.now_ns() >= stalled_ns and not self._is_file:
-            raise CameraStalled(
-                f"{self._name}: no frame for {self._stall_ns / NS:g} s; "
-                "check its cable, and that no other program uses it; then start again"
-            )
-        return None
+class CaptureSource:
+    """An open cv2.VideoCapture, set up and read back."""
 
-    def close(self) -> None:
-        """Stop and release the camera; waits for the thread, which a dead device may hold for as long as its driver."""
-        self._queue.close()
-        if self._thread is not None:
-            self._thread.join()
-            self._thread = None
-
-    @property
-    def _name(self) -> str:
-        return f"camera {self._source}" if isinstance(self._source, int) else f"camera '{self._source}'"
-
-    def _opened(self) -> cv2.VideoCapture:
-        path = f"/dev/video{self._source}" if isinstance(self._source, int) else self._source
-        devices = ", ".join(video_devices()) or "no video device"
-        # Looked for first, as OpenCV's back ends write to the terminal what they miss.
-        if "://" not in path and not Path(path).exists():
-            raise NoCamera(f"{self._name}: there is no {path}; this machine has {devices}; give one of these or a file")
-        capture = cv2.VideoCapture(self._source)
-        if not capture.isOpened():
-            capture.release()
-            what = "is no video that OpenCV reads" if self._is_file else "can't be opened; another program may hold it"
-            raise NoCamera(f"{self._name}: {path} {what}; this machine has {devices}")
-        return capture
-
-    def _check_settings(self, capture: cv2.VideoCapture) -> None:
-        """Set what a camera can be told, and read back what it and a file give."""
-        if not self._is_file:
-            capture.set(cv2.CAP_PROP_FRAME_WIDTH, self._size_px[0])
-            capture.set(cv2.CAP_PROP_FRAME_HEIGHT, self._size_px[1])
-            capture.set(cv2.CAP_PROP_FPS, self._fps)
-        have = (round(capture.get(cv2.CAP_PROP_FRAME_WIDTH)), round(capture.get(cv2.CAP_PROP_FRAME_HEIGHT)))
-        if have != tuple(self._size_px):
-            raise CameraError(
-                f"{self._name}: it gives {have[0]}x{have[1]} px; want {self._size_px[0]}x{self._size_px[1]};\n"
-                "set the size to one that it has, with a calibration made at that size"
-            )
+    def __init__(self, capture: Capture, wanted: _Wanted, clock: Clock) -> None:
+        self._capture = capture
+        self._wanted = wanted
+        self._clock = clock
+        self._v4l2 = capture.getBackendName() == V4L2
+        self._gaps = Gaps()
+        self._last: Image | None = None
+        self._last_driver_ms = -1.0
+        self._set_up()
+        self.size_px = (
+            round(capture.get(cv2.CAP_PROP_FRAME_WIDTH)),
+            round(capture.get(cv2.CAP_PROP_FRAME_HEIGHT)),
+        )
         fps = capture.get(cv2.CAP_PROP_FPS)
-        self._fps = fps if fps > 0 else self._fps
+        self.fps = fps if fps > 0 else None
+        source = wanted.source
+        self.settings: Mapping[str, Setting] = {
+            "source": source if isinstance(source, int) else without_secrets(source),
+            "backend": capture.getBackendName(),
+            "size_px": f"{self.size_px[0]}x{self.size_px[1]}",
+            "fps": self.fps,
+            **(read_settings(capture) if self._v4l2 else {}),
+        }
 
-    def _run(self, capture: cv2.VideoCapture, queue: FrameQueue) -> None:
-        """The thread: takes frames until the reader has gone, the file ends, or something breaks."""
-        try:
-            if self._is_file:
-                self._play(capture, queue)
-            else:
-                self._watch(capture, queue)
-        except Exception as error:  # whatever it is, it is the reader's: `read` raises it
-            queue.fail(error)
-        finally:
-            capture.release()
+    def _set_up(self) -> None:
+        """Ask for what is wanted. Pixel format first, then the size: what V4L2 offers depends in that order."""
+        capture, wanted = self._capture, self._wanted
+        if wanted.controls != Controls() and not self._v4l2:
+            raise SettingRefused(
+                f"{wanted.name}: settings can be locked through V4L2 only; OpenCV opened it by "
+                f"{capture.getBackendName()}\nleave pixel_format, exposure_ms, focus, gain, white_balance_k out"
+            )
+        if wanted.controls.pixel_format is not None:
+            set_pixel_format(capture, wanted.controls.pixel_format, wanted.name)
+        if wanted.size_px is not None:
+            capture.set(cv2.CAP_PROP_FRAME_WIDTH, wanted.size_px[0])
+            capture.set(cv2.CAP_PROP_FRAME_HEIGHT, wanted.size_px[1])
+        if wanted.fps is not None:
+            capture.set(cv2.CAP_PROP_FPS, wanted.fps)
+        lock_controls(capture, wanted.controls, wanted.name)
 
-    def _watch(self, capture: cv2.VideoCapture, queue: FrameQueue) -> None:
-        index = 0
-        while not queue.closed:
-            if not capture.grab():
-                # Gone or slow: `read` decides when that is a stall.
-                self._clock.sleep_until_ns(self._clock.now_ns() + round(RETRY_S * NS))
-                continue
-            frame = self._frame(capture, index)
-            if frame is None:
-                queue.count_dropped(1)
-            else:
-                queue.put(frame)
-            index += 1
-
-    def _play(self, capture: cv2.VideoCapture, queue: FrameQueue) -> None:
-        start_ns = self._clock.now_ns()
-        index = 0
-        while not queue.closed:
-            self._clock.sleep_until_ns(start_ns + round(index * NS / self._fps))
-            if not capture.grab():
-                queue.fail(CameraStalled(f"{self._name}: the video ended after {index} frames"))
-                return
-            frame = self._frame(capture, index)
-            if frame is None:
-                raise CameraError(f"{self._name}: frame {index} can't be decoded; the file is damaged from there on")
-            queue.put_waiting(frame)
-            index += 1
-
-    def _frame(self, capture: cv2.VideoCapture, index: int) -> Frame | None:
-        """The frame that was just grabbed: stamped, then decoded; None if it can't be decoded."""
-        t_ns = self._clock.now_ns()
-        good, image = capture.retrieve()
-        if not good:
+    def take(self) -> Taken | None:
+        if not self._capture.grab():
+            self._check_there()
+            self._clock.sleep_until_ns(self._clock.now_ns() + round(RETRY_S * NS))
             return None
-        have = (image.shape[1], image.shape[0])
-        if have != tuple(self._size_px):
-            raise CameraError(f"{self._name}: frame {index} has {have} px; it said {self._size_px} when it was opened")
-        return Frame(index, t_ns, np.asarray(image, dtype=np.uint8))
+        arrived_ns = self._clock.now_ns()
+        driver_ms = self._capture.get(cv2.CAP_PROP_POS_MSEC) if self._v4l2 else 0.0
+        t_ns, stamp = choose_stamp(driver_ms, arrived_ns)
+        good, decoded = self._capture.retrieve()
+        image = np.asarray(decoded, dtype=np.uint8) if good else None
+        again = stamp == "driver" and driver_ms == self._last_driver_ms
+        if again or _same(image, self._last):
+            return Taken(t_ns, stamp, image, arrived_ns, stale=True)
+        lost = self._gaps.missing_before(t_ns) if stamp == "driver" else 0
+        self._last, self._last_driver_ms = image, driver_ms
+        return Taken(t_ns, stamp, image, arrived_ns, lost=lost)
+
+    def release(self) -> None:
+        self._capture.release()
+
+    def _check_there(self) -> None:
+        """Raise CameraLost if the device is gone, or an address gives nothing: OpenCV then says so just once."""
+        path, name = self._wanted.path, self._wanted.name
+        if path is not None and not Path(path).exists():
+            raise CameraLost(f"{name}: its device {path} is gone\nplug it in again, then start again")
+        if isinstance(self._wanted.source, str) and path is None:
+            raise CameraLost(f"{name}: the stream ended or nothing came for {self._wanted.stall_s:g} s\nstart again")
+
+
+def _same(image: Image | None, last: Image | None) -> bool:
+    """Whether two frames are the same in every pixel, which the noise of a sensor that works doesn't let happen."""
+    if image is None or last is None or image.shape != last.shape:
+        return False
+    thinned = np.array_equal(image[::THINNED, ::THINNED], last[::THINNED, ::THINNED])
+    return thinned and np.array_equal(image, last)

@@ -7,6 +7,7 @@ counts it.
 
 from __future__ import annotations
 
+import json
 import queue
 import threading
 from collections.abc import Callable
@@ -51,6 +52,7 @@ class CaptureCounts:
 
     frames: int
     dropped_frames: int
+    stale_frames: int
     commands: int
     readings: int
     bus_errors: int
@@ -166,6 +168,7 @@ class Capture:
         return CaptureCounts(
             frames=worker.recorded,
             dropped_frames=worker.dropped + self._rig.camera.dropped,
+            stale_frames=self._rig.camera.stale,
             commands=self._commands,
             readings=self._readings,
             bus_errors=sum(self._rig.arm.bus_errors.values()),
@@ -178,6 +181,7 @@ class Capture:
         """Check the servos, switch torque on where the arm stands, and go to the park pose."""
         self._rig.arm.connect()
         self._event("INFO", f"connected: {', '.join(self._rig.arm.names)}")
+        self._event("INFO", f"camera: {json.dumps(dict(self._rig.camera.settings))}")
         self._powered = True
         self._rig.arm.torque_on()
         self._approach(self._plan.park)

@@ -255,10 +255,12 @@ def load_session(path: Path) -> Session:
 
     recording = Recording.load(path)
     about = recording.description
-    latency_s = 0.0 if about.rig is None else parse_rig(about.rig, f"{path}: rig").camera.latency_s
+    rig = None if about.rig is None else parse_rig(about.rig, f"{path}: rig").camera
+    latency_s, readout_s = (0.0, None) if rig is None else (rig.latency_s, rig.readout_s)
     seen = replace(recording.observations, t_s=recording.observations.t_s - latency_s)
     markers = parse_markers(about.markers, f"{path}: markers")
-    poses = estimate_pose_log(seen, markers, parse_camera(about.camera, f"{path}: camera"))
+    camera = parse_camera(about.camera, f"{path}: camera")
+    poses = estimate_pose_log(seen, markers, camera, readout_s=readout_s)
     return Session(recording, poses, viewing_angles_of_parts(seen, markers))
 
 

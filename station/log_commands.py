@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from os import PathLike
 from pathlib import Path
@@ -175,8 +175,7 @@ def read_camera_of(path: str | PathLike[str]) -> CameraModel:
     if file.suffix.lower() != ".toml" or not _is_rig(read_text(file, "calibration")):
         return read_camera(file)
     rig, _, file = read_rig(str(path))
-    camera = load_calibration(rig, file.parent, str(file))
-    return camera if rig.camera.readout_s is None else replace(camera, readout_s=rig.camera.readout_s)
+    return load_calibration(rig, file.parent, str(file))
 
 
 def _is_rig(text: str) -> bool:

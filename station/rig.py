@@ -14,13 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.intrinsics import CameraModel
+from drivers.addresses import without_secrets
 from drivers.arm import Arm
 from drivers.camera import Camera
+from drivers.camera_sources import open_camera
 from drivers.clock import Clock, MonotonicClock, VirtualClock
 from drivers.dynamixel import DynamixelBus
 from drivers.rendered_camera import RenderedCamera
 from drivers.safety import SafetyLimits
-from drivers.webcam import Webcam
 from station.emulated_arm import EmulatedArm
 from station.errors import InvalidData
 from station.formats.rig import EMULATED, RENDERED, RigTable, load_calibration
@@ -38,7 +39,10 @@ FAULTY_REPLY_TIMEOUT_S = 0.5
 
 @dataclass(frozen=True)
 class RigFile:
-    """A rig as it was read: its table, its text for the session's copy, and the camera's calibration."""
+    """A rig as it was read: its table, its text for the session's copy, and the camera's calibration.
+
+    In the text, addresses have no passwords: it is recorded.
+    """
 
     table: RigTable
     text: str
@@ -63,7 +67,7 @@ class Rig:
 def load_rig(name_or_path: str) -> RigFile:
     """Read a rig and its camera's calibration; raises InvalidFile."""
     table, text, path = read_rig(name_or_path)
-    return RigFile(table, text, str(path), load_calibration(table, path.parent, str(path)))
+    return RigFile(table, without_secrets(text), str(path), load_calibration(table, path.parent, str(path)))
 
 
 @contextmanager
@@ -123,7 +127,7 @@ def open_rig(
             moved = bus or HandMovedObject(len(stage.joints), by_hand, clock.now_ns())
             camera: Camera = rendered_camera(table, simulation.camera, stage, moved, clock, realtime=not virtual)
         else:
-            camera = Webcam(table.camera.source, frame_size(table), table.camera.fps, clock)
+            camera = real_camera(table, clock)
         if bus is not None and by_hand is not None:
             start_ns = clock.now_ns()
             for joint, state, speed, t_s in by_hand.pushes():
@@ -142,6 +146,19 @@ def virtual_reply_timeout_s(simulation: SimulationTable | None) -> float:
 def frame_size(table: RigTable) -> tuple[int, int]:
     """(width, height) of the camera's frames."""
     return (table.camera.size_px[0], table.camera.size_px[1])
+
+
+def real_camera(table: RigTable, clock: Clock) -> Camera:
+    """The camera that the rig names, not started yet; raises CameraError for one that can't be."""
+    camera = table.camera
+    return open_camera(
+        camera.source,
+        size_px=frame_size(table),
+        fps=camera.fps,
+        clock=clock,
+        stall_s=camera.stall_s,
+        controls=camera.controls(),
+    )
 
 
 def safety_limits(table: RigTable) -> SafetyLimits:
@@ -171,16 +188,20 @@ def rendered_camera(
 ) -> RenderedCamera:
     """The camera that sees what moves on its stage; not started yet."""
     shares = (np.arange(camera.blur_instants) + 0.5) / camera.blur_instants - 0.5
-    offsets_ns = np.round(shares * camera.exposure_s * 1e9).astype(int).tolist()
+    # (instants, knots): each knot of the rolling shutter has all instants of the exposure.
+    offsets_s = shares[:, None] * camera.exposure_s + stage.knots_s
+    offsets_ns = np.round(offsets_s * 1e9).astype(int)
 
     def render(t_mid_ns: int, index: int) -> NDArray[np.uint8]:
-        return stage.render(np.stack([moved.joint_states(t_mid_ns + offset) for offset in offsets_ns]), index)
+        states = [moved.joint_states(t_mid_ns + offset) for offset in offsets_ns.ravel().tolist()]
+        return stage.render(np.reshape(states, (*offsets_ns.shape, -1)), index)
 
     return RenderedCamera(
         render,
         size_px=frame_size(table),
         fps=table.camera.fps,
         exposure_s=camera.exposure_s,
+        readout_s=stage.readout_s,
         latency_s=camera.latency_s,
         clock=clock,
         realtime=realtime,

@@ -18,6 +18,10 @@ from station.simulate.render import SceneRenderer
 from station.simulate.scene import Box, CameraOptics, Plate
 
 UP = np.array([0.0, 0.0, 1.0])
+# Parts of the image between whose edges the motion under a rolling shutter is taken to be even. What that leaves out
+# is at most an eighth of the acceleration times the part's time squared: 0.015 px at 25 ms of readout, 10 rad/s2 and
+# 300 px from the axis.
+SHUTTER_BANDS = 4
 
 
 def _unit(v: ArrayLike) -> FloatArray:
@@ -48,6 +52,10 @@ class Stage:
         simulation: the rig's own.
         calibration: of the camera; taken to be the truth where the simulation gives none of its own.
         seed: of the sensor's noise, and of how far the plates and the camera are from where they are drawn.
+
+    Attributes:
+        readout_s: true time from the first to the last row; 0 of a global shutter.
+        knots_s: (K,) times, from the middle row's on, at which a rolling shutter's picture wants the joints.
     """
 
     def __init__(self, rig: RigTable, simulation: SimulationTable, calibration: CameraModel, seed: int) -> None:
@@ -67,6 +75,9 @@ class Stage:
             noise_grey=camera.noise_grey,
             gamma=camera.gamma,
         )
+        self.readout_s = (calibration.readout_s or 0.0) if camera.readout_s is None else camera.readout_s
+        bands = SHUTTER_BANDS if self.readout_s else 0
+        self.knots_s = (np.arange(bands + 1) / bands - 0.5) * self.readout_s if bands else np.zeros(1)
         self._renderer = SceneRenderer(self.plates, boxes, rig.markers.dictionary, optics, seed)
 
     def _plate(self, plate: SimulatedPlate, markers: MarkerTable, misplaced: _Misplacement) -> Plate:
@@ -87,9 +98,11 @@ class Stage:
         return self.T_camera_root @ np.stack([np.broadcast_to(poses[b], (*batch, 4, 4)) for b in self._bodies], axis=-3)
 
     def render(self, q: FloatArray, index: int) -> NDArray[np.uint8]:
-        """(H, W, 3) BGR picture number `index` for joint angles q (S, J) at S instants of the exposure."""
-        T_cam_body = self.T_camera_bodies(q)
-        return self._renderer.render(T_cam_body[0] if len(q) == 1 else T_cam_body, index)
+        """(H, W, 3) BGR picture number `index`.
+
+        Joint angles q are (S, K, J), at S instants of the exposure of each of K rows (those of `knots_s`).
+        """
+        return self._renderer.render(self.T_camera_bodies(q), index)
 
 
 class _Misplacement:

@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 import pytest
@@ -130,7 +131,8 @@ def planned(tmp_path: Path):
 class NoFrames:
     """A camera that never has a frame."""
 
-    size_px, fps, dropped = (640, 480), 30.0, 0
+    size_px, fps, dropped, stale = (640, 480), 30.0, 0, 0
+    settings = MappingProxyType({})
 
     def __init__(self, rig: Rig) -> None:
         self._clock = rig.clock
@@ -143,7 +145,8 @@ class NoFrames:
 class FailingCamera:
     """A camera that stalls after some frames."""
 
-    size_px, fps, dropped = (640, 480), 30.0, 0
+    size_px, fps, dropped, stale = (640, 480), 30.0, 0, 0
+    settings = MappingProxyType({})
 
     def __init__(self, camera, after: int) -> None:
         self._camera, self._left = camera, after

@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 import pytest
@@ -18,7 +19,7 @@ from drivers.errors import NoCamera
 from drivers.rendered_camera import RenderedCamera
 from drivers.serial_ports import User
 from station.doctor.bus import BusReport, Wire, examine_bus
-from station.doctor.camera import check_exposure, check_stamps, watch_camera
+from station.doctor.camera import check_locks, check_stamps, watch_camera
 from station.doctor.checkup import examine
 from station.doctor.disk import check_disk
 from station.doctor.finding import Finding, Verdict, blocks, mends, summary_rows
@@ -434,7 +435,8 @@ def test_the_frame_rate_is_measured():
 class Broken:
     """A camera that can't be opened, or gives no frame."""
 
-    size_px, fps, dropped = (64, 48), 30.0, 0
+    size_px, fps, dropped, stale = (64, 48), 30.0, 0, 0
+    settings = MappingProxyType({})
 
     def __init__(self, clock: Clock, *, opens: bool) -> None:
         self._clock, self._opens = clock, opens
@@ -460,15 +462,49 @@ def test_a_camera_that_gives_nothing_blocks(opens: bool, check: str):
 
 
 def test_an_exposure_that_varies_comes_with_the_command_that_locks_it():
-    assert check_exposure(True, 2).verdict is Verdict.OK
-    for locked in (False, None):
-        finding = check_exposure(locked, 2)
+    (finding,) = check_locks({"exposure_locked": True, "exposure_ms": 8.0}, 2)
+    assert finding.verdict is Verdict.OK and finding.found == "exposure locked at 8 ms"
+    for settings in ({"exposure_locked": False}, {}):
+        (finding,) = check_locks(settings, 2)
         assert finding.verdict is Verdict.WARNING and "v4l2-ctl -d /dev/video2 -c auto_exposure=1" in finding.mend
+        assert "exposure_ms = 8 under [camera]" in finding.mend
+    (finding,) = check_locks({}, "http://camera/video")
+    assert "v4l2" not in finding.mend
+
+
+def test_a_focus_that_moves_is_told():
+    for locked, verdict in ((True, Verdict.OK), (False, Verdict.WARNING)):
+        _, focus = check_locks({"exposure_locked": True, "focus_locked": locked}, 2)
+        assert (focus.check, focus.verdict) == ("focus", verdict)
+
+
+class Frozen(Broken):
+    """A camera that gave the same picture five times beside its ten frames, two of them without a driver's stamp."""
+
+    stale = 5
+    given = 0
+
+    def read(self, until_ns: int) -> Frame | None:
+        t_ns = self._clock.now_ns() + 33_000_000
+        self._clock.sleep_until_ns(t_ns)
+        self.given += 1
+        kind = "arrival" if self.given in (3, 7) else "driver"
+        return Frame(self.given, t_ns, np.zeros((48, 64, 3), np.uint8), kind) if self.given <= 10 else None
+
+
+def test_stale_frames_and_what_stamps_the_others_are_told():
+    clock = VirtualClock()
+    watched = watch_camera(Frozen(clock, opens=True), clock, fps=30.0)
+    fresh = find(watched.findings, "camera", "fresh frames")
+    assert fresh.verdict is Verdict.WARNING and fresh.values == {"stale": 5} and fresh.mend
+    assert watched.stamps == {"driver": 8, "arrival": 2}
+    mixed = check_stamps(watched.stamps, 0.03)
+    assert mixed.verdict is Verdict.WARNING and "8 by the camera's driver, 2 at arrival" in mixed.found
 
 
 def test_a_rig_without_a_latency_is_told():
-    assert check_stamps("at arrival", 0.03).verdict is Verdict.OK
-    assert check_stamps("at arrival", 0.0).verdict is Verdict.WARNING
+    assert check_stamps({"arrival": 60}, 0.03).verdict is Verdict.OK
+    assert check_stamps({"driver": 60}, 0.0).verdict is Verdict.WARNING
 
 
 @pytest.mark.parametrize(

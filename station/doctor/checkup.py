@@ -5,15 +5,15 @@ from __future__ import annotations
 import shutil
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from calibration.intrinsics import CameraModel
 from drivers.camera import Camera
+from drivers.camera_sources import is_stored
 from drivers.clock import Clock, MonotonicClock, VirtualClock
-from drivers.exposure import read_exposure_lock
+from drivers.errors import CameraError
 from drivers.serial_ports import DEFAULT_LATENCY_MS, User, read_latency_ms
-from drivers.webcam import Webcam
 from station.doctor import camera as cameras
 from station.doctor.bus import BusReport, Wire, examine_bus
 from station.doctor.disk import BYTES_PER_PX, check_disk
@@ -25,7 +25,7 @@ from station.errors import InvalidFile
 from station.formats.rig import EMULATED, RENDERED, RigTable, load_calibration
 from station.formats.simulation import SimulationTable
 from station.perception.jpeg import encode_jpeg
-from station.rig import frame_size, rendered_camera, virtual_reply_timeout_s
+from station.rig import frame_size, real_camera, rendered_camera, virtual_reply_timeout_s
 from station.rig_reading import read_rig
 from station.stage import Stage
 
@@ -136,18 +136,20 @@ class _Bench:
             return cameras.Watched([why_not], None)
         watched = cameras.watch_camera(camera, self._clock, fps=settings.fps)
         findings = [*watched.findings]
-        is_file = isinstance(settings.source, str) and Path(settings.source).is_file()
-        if not self._rendered and not is_file and watched.image is not None:
-            findings.append(cameras.check_exposure(read_exposure_lock(settings.source), settings.source))
-        by = "at arrival, by the simulation's clock" if self._rendered else "at arrival, before decoding"
-        findings.append(cameras.check_stamps(by, settings.latency_s))
-        return cameras.Watched(findings, watched.image)
+        if watched.image is not None:
+            if not self._rendered and not is_stored(settings.source):
+                findings += cameras.check_locks(watched.settings, settings.source)
+            findings.append(cameras.check_stamps(watched.stamps, settings.latency_s))
+        return replace(watched, findings=findings)
 
     def _camera(self, calibration: CameraModel | None) -> tuple[Camera | None, Finding]:
         table, simulation = self._table, self._table.simulation
         nothing = Finding("camera", "opens", Verdict.BLOCKS, "it isn't rendered without a calibration")
         if not self._rendered or simulation is None:
-            return Webcam(table.camera.source, frame_size(table), table.camera.fps, self._clock), nothing
+            try:
+                return real_camera(table, self._clock), nothing
+            except CameraError as error:
+                return None, Finding("camera", "opens", Verdict.BLOCKS, "it can't be opened", str(error))
         if self._arm is None:
             mend = 'set port = "emulated", or the source of a real camera'
             return None, Finding("camera", "opens", Verdict.BLOCKS, "a rendered camera can't see a real arm", mend)

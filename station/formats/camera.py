@@ -28,6 +28,7 @@ class CameraTable(StrictModel):
     distortion: Distortion
     rms_px: float | None = None
     edge_shift_px: float | None = None
+    edge_shift_std_px: float | None = None
     readout_s: float | None = None
     when: str | None = None
     matrix_std: Matrix3 | None = None
@@ -41,6 +42,7 @@ class CameraTable(StrictModel):
             distortion=np.array(self.distortion),
             rms_px=self.rms_px,
             edge_shift_px=self.edge_shift_px,
+            edge_shift_std_px=self.edge_shift_std_px,
             readout_s=self.readout_s,
             when=self.when,
             matrix_std=None if self.matrix_std is None else np.array(self.matrix_std),
@@ -65,7 +67,7 @@ def format_camera(camera: CameraModel) -> str:
         f"matrix = {_rows(camera.matrix)}",
         f"distortion = {camera.distortion.tolist()}",
     ]
-    for key in ("rms_px", "edge_shift_px", "readout_s"):
+    for key in ("rms_px", "edge_shift_px", "edge_shift_std_px", "readout_s"):
         if (value := getattr(camera, key)) is not None:
             lines.append(f"{key} = {float(value)!r}")
     if camera.when is not None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -10,6 +11,7 @@ from pydantic import Field, field_validator, model_validator
 
 from calibration.errors import CalibrationError
 from calibration.intrinsics import CameraModel
+from drivers.camera import STALL_S, Controls
 from station.errors import InvalidData, InvalidFile
 from station.formats.camera import CameraTable
 from station.formats.camera_files import read_camera
@@ -117,7 +119,10 @@ class JointTable(StrictModel):
 class CameraSettings(StrictModel):
     """`[camera]`: where frames come from, and the calibration as a file or inline.
 
-    latency_s is the time from the middle of the exposure to the stamp, taken off each frame's stamp.
+    latency_s is the time from the middle of the exposure (of the middle row) to the stamp, taken off each frame's
+    stamp; readout_s the time from the first to the last row of a rolling shutter, which goes before the calibration's;
+    stall_s how long a camera may give no new frame. pixel_format, exposure_ms, focus, gain (both in the camera's own
+    steps) and white_balance_k are set, locked and read back where they are given.
     """
 
     source: int | str
@@ -125,7 +130,17 @@ class CameraSettings(StrictModel):
     fps: Positive
     readout_s: NotNegative | None = None
     latency_s: float = 0.0
+    stall_s: Positive = STALL_S
+    pixel_format: Annotated[str, Field(pattern=r"^[ -~]{4}$")] | None = None
+    exposure_ms: Positive | None = None
+    focus: NotNegative | None = None
+    gain: NotNegative | None = None
+    white_balance_k: Positive | None = None
     calibration: str | CameraTable | None = None
+
+    def controls(self) -> Controls:
+        """What is to be locked."""
+        return Controls(self.pixel_format, self.exposure_ms, self.focus, self.gain, self.white_balance_k)
 
 
 class SafetyTable(StrictModel):
@@ -196,7 +211,7 @@ def parse_rig(text: str, name: str) -> RigTable:
 
 
 def load_calibration(rig: RigTable, folder: Path, name: str) -> CameraModel:
-    """The camera's calibration, inline or from a file relative to the rig's folder.
+    """The camera's calibration, inline or from a file relative to the rig's folder, with the rig's readout_s if any.
 
     Raises:
         InvalidFile: none is given, the file is missing or wrong, or it is for another frame size.
@@ -217,4 +232,4 @@ def load_calibration(rig: RigTable, folder: Path, name: str) -> CameraModel:
             f"the camera is set to {rig.camera.size_px[0]} x {rig.camera.size_px[1]} px\n"
             "calibrate at the size that is captured, or set size_px to the calibration's"
         )
-    return camera
+    return camera if rig.camera.readout_s is None else replace(camera, readout_s=rig.camera.readout_s)

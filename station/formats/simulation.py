@@ -72,12 +72,13 @@ class SimulatedBox(StrictModel):
 class SimulatedCamera(StrictModel):
     """`[simulation.camera]`: where the rendered camera stands and how bad its pictures are.
 
-    matrix and distortion are the real ones; where they aren't given, the calibration is taken to be exact.
+    matrix, distortion and readout_s are the real ones; where they aren't given, the calibration is taken to be exact.
     """
 
     position_mm: Vector
     look_at_mm: Vector
     exposure_s: Positive = 0.008
+    readout_s: NotNegative | None = None
     latency_s: NotNegative = 0.0
     blur_px: NotNegative = 0.6
     noise_grey: NotNegative = 1.5

@@ -7,7 +7,10 @@ comparison. Marker edges are ramps of half a pixel at their exact places; everyt
 From the samples to gamma all values are 16-bit integers and all filters exact, so that what is taken from the cache of
 bodies that stand still is the same, bit by bit, as what would be drawn anew.
 
-Not modelled: shadows, specular light, depth of focus, vignetting other than the scene's falloff, rolling shutter.
+Under a rolling shutter each row of pixels has its own time. Poses are given at some rows (knots); between two of them
+the matrices of a quad change evenly from row to row.
+
+Not modelled: shadows, specular light, depth of focus, vignetting other than the scene's falloff.
 """
 
 from __future__ import annotations
@@ -15,6 +18,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 
 import cv2
 import numpy as np
@@ -65,6 +69,20 @@ class _Draw:
     T_cam_quad: FloatArray
     matrices: FloatArray
     light: FloatArray
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class _Band:
+    """The rows `top` to `bottom` (excluded) of the image, drawn from the knots `draws` at its two ends.
+
+    `share` (2 (bottom - top), 1) is each sample row's part of the way from the first knot to the second; None where
+    all of the image has one time.
+    """
+
+    draws: tuple[_Draw, _Draw]
+    top: int
+    bottom: int
+    share: Singles | None
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -152,7 +170,8 @@ class SceneRenderer:
 
         Args:
             T_cam_body: (B, 4, 4) poses of the bodies in the camera (x right, y down, z forward), or (S, B, 4, 4) at S
-                instants of the exposure, whose light is averaged.
+                instants of the exposure, whose light is averaged; or, for a rolling shutter, (S, K, B, 4, 4) at S
+                instants of the exposure of K rows, which are `k * height / (K - 1)`.
             frame_index: gives the noise, together with the seed: a frame is the same in whatever order it is rendered.
 
         Raises:
@@ -160,21 +179,24 @@ class SceneRenderer:
         """
         instants = np.asarray(T_cam_body, dtype=np.float64)
         instants = instants[None] if instants.ndim == 3 else instants
-        if instants.ndim != 4 or instants.shape[2:] != (4, 4) or not len(instants):
-            shape = np.shape(T_cam_body)
-            raise InvalidData(f"poses have shape {shape}; want (bodies, 4, 4) or (instants, bodies, 4, 4)")
-        if instants.shape[1] < self._bodies:
-            raise InvalidData(f"have poses of {instants.shape[1]} bodies; the scene has {self._bodies}")
+        instants = instants[:, None] if instants.ndim == 4 else instants
+        if instants.ndim != 5 or instants.shape[3:] != (4, 4) or not instants.shape[0] * instants.shape[1]:
+            shapes = "(bodies, 4, 4), (instants, bodies, 4, 4) or (instants, rows, bodies, 4, 4)"
+            raise InvalidData(f"poses have shape {np.shape(T_cam_body)}; want {shapes}")
+        if instants.shape[2] < self._bodies:
+            raise InvalidData(f"have poses of {instants.shape[2]} bodies; the scene has {self._bodies}")
         check_poses(instants, "T_cam_body")
-        draws = [self._draw_list(poses) for poses in instants]
-        layer = self._still_layer(instants, draws[0])
-        grey = self._with_moving(layer, draws)
+        layer = self._still_layer(np.concatenate(list(instants)))
+        moving = ~np.isin(self._quads.body, list(layer.poses))
+        draws = [[self._draw_list(poses, moving) for poses in knots] for knots in instants]
+        grey = self._with_moving(layer, [self._bands(knots) for knots in draws])
         return self._with_noise(grey, frame_index)
 
-    def _draw_list(self, T_cam_body: FloatArray) -> _Draw:
+    def _draw_list(self, T_cam_body: FloatArray, wanted: NDArray[np.bool_]) -> _Draw:
+        """All quads of an instant, of which those not `wanted` are not visible."""
         quads = self._quads
         T_cam_quad = T_cam_body[quads.body] @ quads.T_body_quad
-        visible = facing(T_cam_quad)
+        visible = wanted & facing(T_cam_quad)
         matrices = np.zeros((len(visible), 3, 3))
         matrices[visible] = ray_matrices(T_cam_quad[visible], quads.half_m[visible])
         rectangles = np.zeros((len(visible), 4), dtype=np.int64)
@@ -184,7 +206,20 @@ class SceneRenderer:
         light = quads.albedo_bgr * ((AMBIENT + DIRECT * towards) * self._optics.light)[:, None]
         return _Draw(visible, rectangles, T_cam_quad, matrices * quads.credit[:, None, None], light)
 
-    def _still_layer(self, instants: FloatArray, draw: _Draw) -> _Layer:
+    def _bands(self, knots: Sequence[_Draw]) -> list[_Band]:
+        """The parts of the image between the knots' rows."""
+        height = self._optics.size_px[1]
+        if len(knots) == 1:
+            return [_Band((knots[0], knots[0]), 0, height, None)]
+        rows_each = height / (len(knots) - 1)
+        bands: list[_Band] = []
+        for k, ends in enumerate(pairwise(knots)):
+            top, bottom = int(np.ceil(k * rows_each)), int(np.ceil((k + 1) * rows_each))
+            rows = np.repeat(np.arange(top, bottom), 2)[:, None]
+            bands.append(_Band(ends, top, bottom, (rows / rows_each - k).astype(np.float32)))
+        return bands
+
+    def _still_layer(self, instants: FloatArray) -> _Layer:
         """The layer of the bodies that stand still, taken from the last frame where those are the same."""
         still = np.all(instants == instants[:1], axis=(0, 2, 3))
         poses = {body: instants[0, body].tobytes() for body in range(self._bodies) if still[body]}
@@ -192,15 +227,16 @@ class SceneRenderer:
         self._last = {body: instants[-1, body].tobytes() for body in range(self._bodies)}
         layer = self._layer
         if layer is None or not (resting.keys() <= layer.poses.keys() and layer.poses.items() <= poses.items()):
-            layer = self._layer = self._draw_layer(resting, draw)
+            layer = self._layer = self._draw_layer(resting, instants[0])
         return layer
 
-    def _draw_layer(self, poses: dict[int, bytes], draw: _Draw) -> _Layer:
+    def _draw_layer(self, poses: dict[int, bytes], T_cam_body: FloatArray) -> _Layer:
         depth, light = self._still_depth, self._still_light
         depth[...] = 0
         light[...] = self._wall_samples
-        for quad in np.flatnonzero(draw.visible & np.isin(self._quads.body, list(poses))):
-            self._draw_quad(int(quad), draw, depth, light)
+        (band,) = self._bands([self._draw_list(T_cam_body, np.isin(self._quads.body, list(poses)))])
+        for quad in np.flatnonzero(band.draws[0].visible):
+            self._draw_quad(int(quad), band, depth, light)
         width, height = self._optics.size_px
         pixels = _pixels(light)
         return _Layer(poses, pixels, self._developed(pixels, (0, 0, width, height)))
@@ -210,55 +246,64 @@ class SceneRenderer:
         wall = np.clip(_wall(self._optics.size_px) * self._optics.light, 0, FULL).astype(np.uint16)
         return np.repeat(np.repeat(wall, 2, axis=0), 2, axis=1)
 
-    def _with_moving(self, layer: _Layer, draws: Sequence[_Draw]) -> Singles:
+    def _with_moving(self, layer: _Layer, instants: Sequence[list[_Band]]) -> Singles:
         """Grey levels (H, W, 3) of the layer with the bodies that move drawn into it."""
-        moving = ~np.isin(self._quads.body, list(layer.poses))
-        touched = np.concatenate([draw.regions[draw.visible & moving] for draw in draws])
+        draws = [draw for bands in instants for band in bands for draw in band.draws]
+        touched = np.concatenate([draw.regions[draw.visible] for draw in draws])
         if not len(touched):
             return layer.grey
         x0, y0, x1, y1 = area = _union(touched)
         total = np.zeros((y1 - y0, x1 - x0, 3), np.float32)
-        for draw in draws:  # instants of one exposure: few
-            cv2.accumulate(self._drawn(draw, moving, area), total)
+        for bands in instants:  # of one exposure: few
+            cv2.accumulate(self._drawn(bands, area), total)
         pixels, grey = self._work_pixels, self._work_grey
         pixels[...] = layer.pixels
         grey[...] = layer.grey
-        pixels[y0:y1, x0:x1] = np.rint(total / np.float32(len(draws)))
+        pixels[y0:y1, x0:x1] = np.rint(total / np.float32(len(instants)))
         reach = self._blur_reach
         width, height = self._optics.size_px
         changed = max(x0 - reach, 0), max(y0 - reach, 0), min(x1 + reach, width), min(y1 + reach, height)
         grey[changed[1] : changed[3], changed[0] : changed[2]] = self._developed(pixels, changed)
         return grey
 
-    def _drawn(self, draw: _Draw, moving: NDArray[np.bool_], area: Rectangle) -> Light:
+    def _drawn(self, bands: Sequence[_Band], area: Rectangle) -> Light:
         """Light of the pixels in `area` at one instant."""
         x0, y0, x1, y1 = area
         samples = slice(2 * y0, 2 * y1), slice(2 * x0, 2 * x1)
         self._work_depth[samples] = self._still_depth[samples]
         self._work_light[samples] = self._still_light[samples]
-        for quad in np.flatnonzero(draw.visible & moving):
-            self._draw_quad(int(quad), draw, self._work_depth, self._work_light)
+        for band in bands:
+            first, second = band.draws
+            for quad in np.flatnonzero(first.visible & second.visible):
+                self._draw_quad(int(quad), band, self._work_depth, self._work_light)
         return _pixels(self._work_light[samples])
 
-    def _draw_quad(self, quad: int, draw: _Draw, depth: Singles, light: Light) -> None:
-        x0, y0, x1, y1 = draw.regions[quad].tolist()
+    def _draw_quad(self, quad: int, band: _Band, depth: Singles, light: Light) -> None:
+        first, second = band.draws
+        x0, y0, x1, y1 = _union(np.stack([first.regions[quad], second.regions[quad]]))
+        y0, y1 = max(y0, band.top), min(y1, band.bottom)
+        if y0 >= y1:
+            return
         samples = slice(2 * y0, 2 * y1), slice(2 * x0, 2 * x1)
         ray_x, ray_y = self._ray_x[samples], self._ray_y[samples]
-        a, b, w = (
-            np.asarray(cv2.addWeighted(ray_x, m_x, ray_y, m_y, m_1), dtype=np.float32)
-            for m_x, m_y, m_1 in draw.matrices[quad].tolist()
-        )
+        a, b, w = _plate_coordinates(first.matrices[quad], ray_x, ray_y)
+        if band.share is not None:
+            share = band.share[2 * (y0 - band.top) : 2 * (y1 - band.top)]
+            change = _plate_coordinates(second.matrices[quad] - first.matrices[quad], ray_x, ray_y)
+            for value, by in zip((a, b, w), change, strict=True):
+                by *= share
+                value += by
         # Shown where the plane is in front of the camera, |a| and |b| are below 1, and nothing nearer was drawn: as
         # a, b, w are all divided by the depth, that is w > |a|, |b| and the inverse depth there, which is 0 or more.
         bound = cv2.max(cv2.max(np.abs(a), np.abs(b)), depth[samples])
         shown = cv2.compare(w, bound, cv2.CMP_GT)
         plate = self._quads.plates[quad]
-        colour = np.minimum(np.rint(draw.light[quad] * FULL), FULL)
+        colour = np.minimum(np.rint((first.light[quad] + second.light[quad]) / 2 * FULL), FULL)
         if plate is None:
             brush = self._brush[samples]
             cv2.rectangle(brush, (0, 0), (brush.shape[1], brush.shape[0]), colour.tolist(), cv2.FILLED)
         else:
-            brush = self._printed(plate, draw.T_cam_quad[quad], colour, (a, b, w))
+            brush = self._printed(plate, first.T_cam_quad[quad], colour, (a, b, w))
         cv2.copyTo(brush, shown, light[samples])
         cv2.copyTo(w, shown, depth[samples])
 
@@ -313,6 +358,14 @@ class SceneRenderer:
         random = bits.random_raw((grey.size + 3) // 4).view(np.uint16)[: grey.size]
         noise = cv2.LUT(random.reshape(grey.shape), self._gaussian, self._noise)
         return np.asarray(cv2.add(grey, noise, dtype=cv2.CV_8U), dtype=np.uint8)
+
+
+def _plate_coordinates(matrix: FloatArray, ray_x: Singles, ray_y: Singles) -> tuple[Singles, Singles, Singles]:
+    """What the matrix (3, 3) of a quad makes of rays (x, y, 1), row by row."""
+    a, b, w = (
+        np.asarray(cv2.addWeighted(ray_x, m_x, ray_y, m_y, m_1), dtype=np.float32) for m_x, m_y, m_1 in matrix.tolist()
+    )
+    return a, b, w
 
 
 def _marker_cells(plates: Sequence[Plate], dictionary: str) -> dict[int, Singles]:

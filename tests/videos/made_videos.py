@@ -155,8 +155,14 @@ def images(
     return [renderer.render(scene.T_cam_body(t + exposure_s * shares), k) for k, t in enumerate(times_s(frames, fps))]
 
 
-def write_video(path: Path, frames: Sequence[np.ndarray], fourcc: str = "MJPG", fps: float = FPS) -> Path:
-    """A video file by OpenCV; the fourcc must suit the ending (.avi: MJPG, FFV1; .mp4: mp4v)."""
+def write_video(path: Path, frames: Sequence[np.ndarray], fps: float = FPS) -> Path:
+    """A video file by OpenCV, .avi as MJPG, .mp4 as mp4v; without an ending a folder of PNG, which loses nothing."""
+    if not path.suffix:
+        path.mkdir()
+        for k, frame in enumerate(frames):
+            cv2.imwrite(str(path / f"{k}.png"), frame, [cv2.IMWRITE_PNG_COMPRESSION, 1])
+        return path
+    fourcc = {".avi": "MJPG", ".mp4": "mp4v"}[path.suffix]
     height, width = frames[0].shape[:2]
     writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*fourcc), fps, (width, height))
     assert writer.isOpened()
