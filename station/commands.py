@@ -359,7 +359,8 @@ def _compare(session: Path, commands: Path | None) -> tuple[Comparison, Recordin
         commanded, measured = recording.commanded, recording.measured
         if not commanded.joints:
             raise StationError(
-                f"{session} has neither commands nor read-back: nothing to compare with\ngive commands with --commands FILE (t_s, then a column a joint)"
+                f"{session} has neither commands nor read-back: nothing to compare with\n"
+                "give commands with --commands FILE (t_s, then a column a joint)"
             )
     else:
         commanded, measured = read_commands(commands, tree.units), None

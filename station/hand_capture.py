@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+
 from station.capture import NS_PER_S, SERVO_RATE_HZ, CaptureCounts, FrameWorker, Progress
 from station.recording import RecordingWriter
 from station.releasing import Ask, release
@@ -52,6 +54,7 @@ class HandCapture:
         try:
             if self._has_arm:
                 self._event("INFO", f"moved by hand, torque off: {', '.join(self._rig.arm.names)}")
+            self._event("INFO", f"camera: {json.dumps(dict(self._rig.camera.settings))}")
             with worker:
                 self._look_on(worker)
             state = "complete"
@@ -91,6 +94,7 @@ class HandCapture:
         return CaptureCounts(
             frames=worker.recorded,
             dropped_frames=worker.dropped + self._rig.camera.dropped - self._dropped_before,
+            stale_frames=self._rig.camera.stale,
             commands=0,
             readings=self._readings,
             bus_errors=sum(self._rig.arm.bus_errors.values()) if self._has_arm else 0,
