@@ -129,7 +129,7 @@ def latency_of(session: Path) -> CameraLatency:
     if not len(recording.measured.t_s) or about.rig is None:
         raise InvalidData(f"{session} has no read-back of servos: a camera's latency is told against it")
     rig, camera = parse_rig(about.rig, f"{session}: rig"), parse_camera(about.camera, f"{session}: camera")
-    readout_s = rig.camera.readout_s or camera.readout_s or 0.0
+    readout_s = (camera.readout_s if rig.camera.readout_s is None else rig.camera.readout_s) or 0.0
     sweeps = lone_sweeps(recording.measured, recording.observations, readout_s=readout_s, height_px=camera.size_px[1])
     reply_s = _reply_s(recording)
     found = estimate_latency(sweeps, reply_s=reply_s)

@@ -139,6 +139,14 @@ def test_an_arm_that_holds_is_let_go_only_when_the_person_agrees(monkeypatch: py
         assert emulated.register(2, "torque_enable") == 0
 
 
+def test_a_pair_that_is_moved_fast_and_read_slowly_does_not_disagree(monkeypatch: pytest.MonkeyPatch):
+    """At 80 deg/s a reply that takes 100 ms lets the second servo of a pair be read 8 deg further on."""
+    with limp_rig("demo", monkeypatch, "delay:2@0.5+100=0.1") as (rig, emulated, _):
+        take_in_hand(rig, agree)
+        emulated.push("shoulder", 1.0, np.radians(80), rig.clock.now_ns() + 700_000_000)
+        assert record(rig, 3.0).state == "complete"
+
+
 def test_an_interrupt_is_the_normal_end(monkeypatch: pytest.MonkeyPatch):
     def stop(done_s: float, total_s: float) -> None:
         if done_s > 1.0:
