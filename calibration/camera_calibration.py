@@ -21,8 +21,10 @@ from calibration.wrong_board import marker_share
 
 # A view tells something with so many corners, in at least two rows and two columns.
 LEAST_CORNERS = 8
-# A view of which fewer corners than this share fit the camera that the others found is left out.
+# A view of which fewer corners than this share fit the camera that the others found is left out, and one whose corners
+# are off by so many times what is common in the others, and by more than so much.
 LEAST_FITTING = 0.5
+STRAY_VIEW, STRAY_VIEW_PX = 6.0, 0.2
 LEAST_VIEWS = 3
 
 # Takes a grey image and rough corners (M, 4, 2) of black squares; gives corners, and which (M,) are to be believed.
@@ -91,7 +93,9 @@ def calibrate_camera(
     corners = _stacked(kept, board)
     fit = fit_camera(corners)
     fitting = np.bincount(corners.view, fit.used, minlength=len(kept)) / np.bincount(corners.view)
-    if np.any(bad := fitting < LEAST_FITTING) and np.sum(~bad) >= LEAST_VIEWS:
+    bad = fitting < LEAST_FITTING
+    bad |= fit.sigma_px > max(STRAY_VIEW * float(np.median(fit.sigma_px)), STRAY_VIEW_PX)
+    if np.any(bad) and np.sum(~bad) >= LEAST_VIEWS:
         left_out = [shot.name for shot, is_bad in zip(kept, bad, strict=True) if is_bad]
         kept = [shot for shot, is_bad in zip(kept, bad, strict=True) if not is_bad]
         fit = refit_camera(fit, corners, ~bad)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import select
 import sys
+import textwrap
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -21,6 +22,8 @@ if TYPE_CHECKING:
     from calibration.view_selection import ViewSelector
     from station.camera_commands import Calibrated, Progress
 
+TAKEN = "TAKEN"
+COLUMNS = 80
 # How many corners a cell of the image has, in characters.
 SHADES = ((0, "  "), (1, ".."), (4, "::"), (10, "##"))
 
@@ -127,11 +130,11 @@ def wizard_lines(progress: Progress) -> list[str]:
     """The wizard's screen as lines of at most 80 columns."""
     selector, look = progress.selector, progress.look
     count = f"frame {progress.frame}" + ("" if progress.frames is None else f" of {progress.frames}")
-    lines = [f"{len(selector.shots)} views, {count}", *cover_lines(selector), f"now:  {_now(progress)}"]
-    advice = selector.advice()
-    lines.append(f"next: {advice}" if advice else "next: nothing more is wanted")
-    lines.append("TAKEN" if look.taken else "")
-    return [line[:80] for line in lines]
+    advice = selector.advice() or "nothing more is wanted"
+    lines = [f"{len(selector.shots)} views, {count}", *cover_lines(selector)]
+    for label, words in (("now:  ", _now(progress)), ("next: ", advice)):
+        lines += textwrap.wrap(words, COLUMNS, initial_indent=label, subsequent_indent=" " * len(label))
+    return [*lines, TAKEN if look.taken else ""]
 
 
 def _now(progress: Progress) -> str:
@@ -170,7 +173,7 @@ def _wizard() -> Iterator[Wizard]:
     with Live(console=console, refresh_per_second=8, transient=False) as live:
 
         def draw(lines: list[str]) -> None:
-            if lines[-1] == "TAKEN":
+            if lines[-1] == TAKEN:
                 console.bell()
             live.update(Text("\n".join(lines)))
 
