@@ -53,7 +53,7 @@ def explain_missing(images: Sequence[Grey], board: CharucoBoard) -> str:
     blur_px = float(np.median([edge_spread_px(image) for image in chosen])) if chosen else 0.0
     if blur_px > HIDING_BLUR_PX:
         return (
-            f"they are blurred: even their sharpest edges spread over {blur_px:.1f} px, want {HIDING_BLUR_PX:g} at most\n"
+            f"they are blurred: their sharpest edges spread over {blur_px:.1f} px, want {HIDING_BLUR_PX:g} at most\n"
             "focus the camera and lock the focus, hold the board still, use more light or a shorter exposure"
         )
     return "no marker of any dictionary is read in them: is the board in view, large enough, flat, lit and in focus?"

@@ -39,7 +39,7 @@ def test_a_folder_of_images_gives_a_camera_and_the_same_again_from_the_stored_vi
     monkeypatch.chdir(tmp_path)
     arguments = ["--board", BOARD.spec, "--measured-mm", "100.0x100.0", "--out", "camera"]
     code, out, err = station("calibrate", "camera", folder, *arguments)
-    assert code == 0 and "camera/camera.toml: good" in out and "in views left out" in out
+    assert code == 0 and "camera.toml: good" in out and "in views left out" in out
     first = (tmp_path / "camera" / "camera.toml").read_text("utf-8")
     camera = parse_camera(first, "camera.toml")
     assert abs(camera.matrix[0, 0] - 610.0) < 3 * camera.matrix_std[0, 0] < 2.0
@@ -63,7 +63,7 @@ def test_a_folder_of_images_gives_a_camera_and_the_same_again_from_the_stored_vi
         (["--board", BOARD.spec, "--measured-mm", "long"], 1, "want millimetres across x down"),
         (["--board", "nowhere.toml", "--measured-mm", "100"], 1, "no board 'nowhere.toml'"),
         (["--board", "charuco:what", "--measured-mm", "100"], 1, "is no board"),
-        (["--board", BOARD.spec, "--measured-mm", "100", "--size", "1280x720"], 1, "640x480 px, the camera is set to 1280"),
+        (["--board", BOARD.spec, "--measured-mm", "100", "--size", "1280x720"], 1, "the camera is set to 1280x720 px"),
         (["--board", BOARD.spec, "--measured-mm", "100", "--size", "large"], 2, "such as 1280x720"),
         (["--board", replace(BOARD, columns=6).spec, "--measured-mm", "100"], 1, "on a board of 7 squares across"),
     ],
@@ -131,7 +131,8 @@ def test_views_are_chosen_from_a_video(images, tmp_path: Path):
     video.release()
     seen: list[camera_commands.Progress] = []
     done = camera_commands.calibrate_camera(str(path), BOARD, tmp_path / "camera", on_look=seen.append)
-    assert len(done.calibration.shots) == COUNT and len(seen) == 6 * COUNT
+    assert COUNT - 2 <= len(done.calibration.shots) <= COUNT  # two of the poses are much alike
+    assert len(seen) == 6 * COUNT
     assert seen[-1].frames == 6 * COUNT
     said = {progress.look.why for progress in seen}
     assert "hold it still" in said and "view 1" in said and any(why.startswith("too much like view") for why in said)

@@ -187,7 +187,7 @@ def _show(done: Calibrated, as_json: bool) -> None:
     if as_json:
         print(json.dumps({"camera": str(done.camera_file), **result_document(result)}, allow_nan=False))
     else:
-        table(f"{done.camera_file}: {result.verdict.grade.word}", _rows(result))
+        table(f"{done.camera_file.name}: {result.verdict.grade.word}", _rows(result))
         print(_summary(result))
         for remark in result.verdict.remarks:
             print(f"{remark.grade.word}: {remark.what}\n  {remark.do}")
