@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import select
+import shlex
 import sys
 import textwrap
 from collections.abc import Callable, Iterator
@@ -71,7 +72,7 @@ def camera(
         measured_mm = _ask_ruler()
     ruler = None if measured_mm is None else camera_commands.parse_ruler(measured_mm)
     printed, size_px = camera_commands.require_measured(found, ruler), _size(size)
-    with _wizard() as wizard:
+    with _saying_what_is_left(out), _wizard() as wizard:
         done = camera_commands.calibrate_camera(
             source, printed, out, rig=rig, size_px=size_px, fps=fps, force=force,
             on_look=wizard.show, stop=wizard.wants_end, say=wizard.stage,
@@ -81,6 +82,18 @@ def camera(
     _show(done, as_json)
     if done.calibration.verdict.grade.word == "bad":
         raise typer.Exit(1)
+
+
+@contextmanager
+def _saying_what_is_left(out: Path) -> Iterator[None]:
+    """After a signal, tell of the views that a live camera gave."""
+    try:
+        yield
+    except (KeyboardInterrupt, SystemExit):
+        if (out / "views").is_dir() and not (out / "camera.toml").exists():
+            views = shlex.quote(str(out / "views"))
+            say_next(f"stopped; calibrate with the views so far: station calibrate camera {views} --out {out} --force")
+        raise
 
 
 def _ask_ruler() -> str:
