@@ -181,3 +181,12 @@ def test_a_board_file_with_its_rulers_measured_needs_no_option(station, folder: 
     code, out, _ = station("calibrate", "camera", folder, "--board", path, "--out", tmp_path / "c", "--json")
     assert code in (0, 1) and json.loads(out)["views_used"] == 8
     assert isinstance(camera_commands.read_board(str(path), None).board, CharucoBoard)
+
+
+def test_a_blurred_view_is_not_taken_after_a_sharp_one(images):
+    selector = ViewSelector(BOARD, wait_for_rest=False)
+    assert selector.look(images[0], "0.png").taken
+    blurred = cv2.GaussianBlur(images[8], (0, 0), 1.6)
+    look = selector.look(blurred, "1.png")
+    assert not look.taken and look.why.startswith("blurred")
+    assert selector.look(images[8], "1.png").taken
