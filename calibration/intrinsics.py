@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -90,6 +90,23 @@ class CameraModel:
                 object.__setattr__(self, what, std := _frozen(values, shape, what))
                 if np.any(std < 0):
                     raise CalibrationError(f"camera {what} has negative standard deviations")
+
+    def scaled_to(self, size_px: tuple[int, int]) -> CameraModel:
+        """The camera of the same picture at another size: of the whole of it, scaled, and not cut.
+
+        The shift of edges is not known at another size: blur and what a camera does to edges are of its pixels.
+        """
+        factor = np.array([size_px[0] / self.size_px[0], size_px[1] / self.size_px[1], 1.0])[:, None]
+        centre = np.zeros((3, 3))  # of the top-left pixel, which is 0: half a pixel from the picture's corner
+        centre[:2, 2] = 0.5
+        return replace(
+            self,
+            size_px=size_px,
+            matrix=factor * (self.matrix + centre) - centre,
+            rms_px=None if self.rms_px is None else self.rms_px * float(np.sqrt(factor[0, 0] * factor[1, 0])),
+            matrix_std=None if self.matrix_std is None else factor * self.matrix_std,
+            edge_shift_px=None,
+        )
 
 
 def _distort(xy: FloatArray, distortion: FloatArray) -> FloatArray:

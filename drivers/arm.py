@@ -179,6 +179,11 @@ class Arm:
         finally:
             self._set_watchdog(0.0)
 
+    def holding(self) -> tuple[str, ...]:
+        """Names of the joints of which a servo has torque: those that drop when it is switched off. Writes nothing."""
+        torque = self._bus.read_many(self._ids, "torque_enable")
+        return tuple(joint.name for joint in self._joints if any(torque[s.id].value for s in joint.servos))
+
     def stop(self) -> None:
         """Hold the arm where it is now; torque stays as it is."""
         self._need_connection()

@@ -14,11 +14,14 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from station.compare import Comparison, compare
     from station.errors import StationError
+    from station.export_commands import export
     from station.fit import fit
     from station.fit.result import Fit
     from station.fit_files import read_fit, read_tree, write_fit
+    from station.formats.camera_files import read_camera
     from station.formats.read import read_commands, read_pose_log
     from station.kinematics.tree import Joint, KinematicTree
+    from station.log_commands import track
     from station.logs import JointLog, PoseLog
 
 __all__ = [
@@ -30,11 +33,14 @@ __all__ = [
     "PoseLog",
     "StationError",
     "compare",
+    "export",
     "fit",
+    "read_camera",
     "read_commands",
     "read_fit",
     "read_pose_log",
     "read_tree",
+    "track",
     "write_fit",
 ]
 
@@ -47,10 +53,13 @@ _HOME = {
     "KinematicTree": "station.kinematics.tree",
     "PoseLog": "station.logs",
     "StationError": "station.errors",
+    "export": "station.export_commands",
+    "read_camera": "station.formats.camera_files",
     "read_commands": "station.formats.read",
     "read_fit": "station.fit_files",
     "read_pose_log": "station.formats.read",
     "read_tree": "station.fit_files",
+    "track": "station.log_commands",
     "write_fit": "station.fit_files",
 }
 

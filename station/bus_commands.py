@@ -13,7 +13,7 @@ from drivers.emulator import parse_fault
 from drivers.errors import DriverError
 from station.emulated_arm import EmulatedArm
 from station.errors import InvalidData
-from station.rig_reading import read_rig
+from station.rig_reading import check_arm, read_rig
 
 if TYPE_CHECKING:
     from drivers.scan import Event, Found
@@ -128,6 +128,7 @@ def emulate(
         InvalidData: faults or a link that can't be.
     """
     table, _, path = read_rig(rig)
+    check_arm(table, str(path))
     try:
         listed = [parse_fault(fault) for fault in faults]
     except DriverError as error:

@@ -6,7 +6,7 @@ rerun, OpenCV and matplotlib are imported where they are used: they take a secon
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from importlib import metadata
@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from calibration.lag import combined_lag
 from station.compare import Comparison
 from station.compare import compare as compare_logs
 from station.comparison_files import write_comparison
@@ -28,7 +29,6 @@ from station.formats.read import read_commands, read_pose_log
 from station.formats.rig import parse_rig
 from station.formats.text import read_text
 from station.kinematics.tree import KinematicTree
-from station.lag import combined_lag
 from station.logs import FloatArray, JointLog, PoseLog
 from station.motion import JointLimits, Plan, plan_motion
 from station.session import (
@@ -39,11 +39,13 @@ from station.session import (
     check_output_folder,
     read_status,
 )
+from station.smoothing import smoother
 
 if TYPE_CHECKING:
     from station.capture import CaptureCounts, Progress
     from station.recording import Recording
-    from station.rig import RigFile
+    from station.releasing import Ask
+    from station.rig import Rig, RigFile
 
 # In the order of the report's facts.
 VERSIONED = ("capture-fit-station", "numpy", "scipy", "opencv-contrib-python-headless", "rerun-sdk", "dynamixel-sdk")
@@ -95,8 +97,9 @@ def plan_document(planned: Plan) -> dict[str, object]:
 
 
 def _plan(rig: RigFile, motion: str) -> tuple[Plan, str]:
-    from station.rig_reading import packaged, packaged_names
+    from station.rig_reading import check_arm, packaged, packaged_names
 
+    check_arm(rig.table, rig.name)
     path = packaged("motions", motion)
     text = read_text(path, "motion", f"packaged ones are {', '.join(packaged_names('motions'))}")
     joints: tuple[JointLimits, ...] = rig.table.limits()
@@ -128,31 +131,107 @@ def capture(
         StationError: a bad rig or motion, an occupied folder, a recording that can't be written.
         DriverError: what the arm or the camera failed at; the session is then "interrupted".
     """
-    from station.capture import Capture
-    from station.recording import RecordingWriter
-    from station.rig import load_rig, open_rig
-    from station.view import session_blueprint
+    from station.rig import load_rig
 
     rig_file = load_rig(rig)
     planned, motion_text = _plan(rig_file, motion)
     check_output_folder(out, force=force)
+    return record_motion(
+        rig_file,
+        planned,
+        motion_text,
+        out,
+        seed=seed,
+        simulate=simulate,
+        realtime=realtime,
+        force=force,
+        progress=progress,
+    )
+
+
+def record_motion(
+    rig_file: RigFile,
+    planned: Plan,
+    motion_text: str,
+    out: Path,
+    *,
+    seed: int | None = None,
+    simulate: bool = False,
+    realtime: bool = False,
+    force: bool = False,
+    progress: Progress | None = None,
+) -> CaptureCounts:
+    """Run a planned motion on a rig into the session folder `out`; settings and errors as for `capture`."""
+    from station.capture import Capture
+    from station.recording import RecordingWriter
+    from station.rig import open_rig
+    from station.view import session_blueprint
+
     joints = tuple(joint.name for joint in planned.joints)
     with open_rig(rig_file, simulate=simulate, realtime=realtime, seed=seed) as opened:
-        description = SessionDescription(
-            camera=format_camera(opened.camera_model),
-            markers=format_markers(opened.markers),
-            joints=joints,
-            units=tuple(joint.unit for joint in planned.joints),
-            rig=rig_file.text,
-            motion=motion_text,
-            started=datetime.now(UTC),
-            seed=opened.seed,
-            versions=versions(),
-        )
+        description = _description(rig_file, opened, planned.joints, motion_text)
         start_ns = opened.clock.now_ns()
         blueprint = session_blueprint(joints)
         with RecordingWriter(out, description, start_ns=start_ns, blueprint=blueprint, force=force) as writer:
             return Capture(opened, planned, writer, progress).run()
+
+
+def capture_by_hand(
+    rig: str,
+    out: Path,
+    *,
+    ask: Ask,
+    duration_s: float | None = None,
+    seed: int | None = None,
+    simulate: bool = False,
+    realtime: bool = False,
+    force: bool = False,
+    progress: Progress | None = None,
+) -> CaptureCounts:
+    """Record an arm without torque, or an object of a rig without one, that people move by hand, into `out`.
+
+    Args:
+        ask: is told before torque that is on is switched off; raises if that may not be.
+        duration_s: until a KeyboardInterrupt if None; in a simulation until the made hand has done.
+
+    Other settings and errors as for `capture`.
+    """
+    from station.hand_capture import HandCapture
+    from station.hand_motion import free_joints, hand_motion
+    from station.recording import RecordingWriter
+    from station.rig import RENDERED, load_rig, open_rig
+    from station.view import session_blueprint
+
+    rig_file = load_rig(rig)
+    check_output_folder(out, force=force)
+    table, by_hand = rig_file.table, None
+    limits = table.limits()
+    if table.simulation is not None and (simulate or table.camera.source == RENDERED):
+        by_hand = hand_motion(limits or free_joints(table.simulation.units()), duration_s)
+        duration_s = duration_s or by_hand.duration_s
+    joints = tuple(joint.name for joint in limits)
+    with open_rig(rig_file, simulate=simulate, realtime=realtime, seed=seed, by_hand=by_hand) as opened:
+        description = _description(rig_file, opened, limits, None)
+        start_ns = opened.clock.now_ns()
+        blueprint = session_blueprint(joints)
+        with RecordingWriter(out, description, start_ns=start_ns, blueprint=blueprint, force=force) as writer:
+            return HandCapture(opened, writer, ask=ask, duration_s=duration_s, progress=progress).run()
+
+
+def _description(
+    rig_file: RigFile, opened: Rig, limits: Sequence[JointLimits], motion: str | None
+) -> SessionDescription:
+    return SessionDescription(
+        camera=format_camera(opened.camera_model),
+        markers=format_markers(opened.markers),
+        joints=tuple(joint.name for joint in limits),
+        units=tuple(joint.unit for joint in limits),
+        rig=rig_file.text,
+        motion=motion,
+        started=datetime.now(UTC),
+        seed=opened.seed,
+        versions=versions(),
+    )
 
 
 @dataclass(frozen=True)
@@ -176,10 +255,12 @@ def load_session(path: Path) -> Session:
 
     recording = Recording.load(path)
     about = recording.description
-    latency_s = 0.0 if about.rig is None else parse_rig(about.rig, f"{path}: rig").camera.latency_s
+    rig = None if about.rig is None else parse_rig(about.rig, f"{path}: rig").camera
+    latency_s, readout_s = (0.0, None) if rig is None else (rig.latency_s, rig.readout_s)
     seen = replace(recording.observations, t_s=recording.observations.t_s - latency_s)
     markers = parse_markers(about.markers, f"{path}: markers")
-    poses = estimate_pose_log(seen, markers, parse_camera(about.camera, f"{path}: camera"))
+    camera = parse_camera(about.camera, f"{path}: camera")
+    poses = estimate_pose_log(seen, markers, camera, readout_s=readout_s)
     return Session(recording, poses, viewing_angles_of_parts(seen, markers))
 
 
@@ -197,7 +278,14 @@ class FitResult:
     notices: tuple[str, ...] = ()
 
 
-def fit(source: Path, out: Path | None = None, *, options: FitOptions | None = None, force: bool = False) -> FitResult:
+def fit(
+    source: Path,
+    out: Path | None = None,
+    *,
+    options: FitOptions | None = None,
+    smooth: str | None = None,
+    force: bool = False,
+) -> FitResult:
     """Discover the kinematic tree in a session, or in a log of poses, and write it.
 
     Writes kinematics.json, joint_states.csv, kinematics.urdf and a drawing of tree and states; for a session also
@@ -207,10 +295,15 @@ def fit(source: Path, out: Path | None = None, *, options: FitOptions | None = N
     Args:
         source: a session folder, a recording, or a pose log in any format that is read.
         out: new or empty folder; for a session its own fit/ if None.
+        options: how to fit.
+        smooth: a smoother of the poses, see `station.smoothing.smoother`; it correlates the noise of neighbouring
+            frames, which the fit takes for independent, so that what it states of its certainty is too good.
+        force: overwrite an earlier fit in `out`.
 
     Raises:
-        StationError: the input can't be read or has nothing to fit; `out` is occupied.
+        StationError: the input can't be read or has nothing to fit; `out` is occupied; there is no such smoother.
     """
+    smoothed = smoother(smooth) if smooth else None
     if not source.exists():
         raise InvalidFile(f"no input '{source}'; want a session folder, a recording.rrd or a log of poses")
     session = load_session(source) if is_session(source) else None
@@ -221,6 +314,7 @@ def fit(source: Path, out: Path | None = None, *, options: FitOptions | None = N
     check_output_folder(out, force=force)
     poses = read_pose_log(source) if session is None else session.poses
     try:
+        poses = smoothed(poses) if smoothed else poses
         found = learn(poses, options or FitOptions())
     except InvalidData as error:
         raise InvalidData(f"{source}: {error}") from error
@@ -287,8 +381,21 @@ def _compare(session: Path, commands: Path | None) -> tuple[Comparison, Recordin
     return comparison, recording, tree, states
 
 
-def report(session: Path, *, commands: Path | None = None) -> Comparison:
-    """Compare a session and write its report: Figure 7, the tables and report.html; raises StationError."""
+def report(session: Path, *, commands: Path | None = None) -> Comparison | None:
+    """Compare a session and write its report: Figure 7, the tables and report.html; raises StationError.
+
+    A session without commands, such as a video's, has nothing to be compared with: its report is the tree, the joints'
+    states and when the parts were seen, and None comes back.
+    """
+    from station.recording import Recording
+
+    if commands is None and not Recording.load(session).description.joints:
+        _report_without_commands(session)
+        return None
+    return _report_compared(session, commands)
+
+
+def _report_compared(session: Path, commands: Path | None) -> Comparison:
     from station.report import write_report
 
     comparison, recording, tree, states = _compare(session, commands)
@@ -297,6 +404,17 @@ def report(session: Path, *, commands: Path | None = None) -> Comparison:
     facts = _facts(session, recording) | ({"left alone": ", ".join(comparison.at_rest)} if comparison.at_rest else {})
     write_report(session / REPORT_FOLDER, comparison, tree, states, facts, viewing, warnings)
     return comparison
+
+
+def _report_without_commands(path: Path) -> None:
+    from station.report import Visibility, write_report
+
+    session, fitted = load_session(path), read_fit(path / FIT_FOLDER)
+    poses, recording = session.poses, session.recording
+    seen = Visibility(poses.t_s, poses.parts, poses.seen, np.degrees(session.viewing))
+    said = tuple(event.text for event in recording.events if event.level == "WARN")
+    warnings = (*recording.notices, *said, *fitted.tree.warnings)
+    write_report(path / REPORT_FOLDER, None, fitted.tree, fitted.states, _facts(path, recording), None, warnings, seen)
 
 
 def _viewing_of_joints(
@@ -351,7 +469,7 @@ def run(
     say("fit")
     fit(out)
     say("report")
-    return report(out)
+    return _report_compared(out, None)
 
 
 def view(session: Path) -> None:

@@ -21,10 +21,10 @@ from functools import partial
 
 import numpy as np
 
+from calibration.lag import Sampler, estimate_slope, period
 from station.callable_module import CallableModule
 from station.errors import InvalidData
 from station.kinematics.joints import JOINT_TYPES
-from station.lag import Sampler, estimate_slope, period
 from station.logs import FloatArray, JointLog, frozen_floats
 from station.pairing import MEASURED_LAG_SPAN_S, Pair, estimate_clock_lag, match_joints, moved, references_of
 

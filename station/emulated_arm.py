@@ -17,6 +17,7 @@ from station.logs import FloatArray
 from station.mechanism import Weights, has_weight
 from station.rig_reading import joint_configs
 
+HAND_RAMP_S = 0.15  # in which a hand comes to its speed
 _STILL = 1e-3  # rad or m. At a lever of 1 m the weight's torque changes by a thousandth of itself.
 
 
@@ -74,6 +75,15 @@ class EmulatedArm(EmulatedBus):
             ],
             dtype=np.float64,
         )
+
+    def push(self, joint: str, state: float, speed: float, t_ns: int) -> None:
+        """From a time on a hand takes a joint to a state (rad or m) at a speed; servos with torque hold against it."""
+        turned = next(each for each in self._joints if each.name == joint)
+        for servo in turned.servos:
+            if servo.ganging != "sync_cable":  # its leader takes it along
+                zero_rad = (servo.zero - servo.table.zero_count) * servo.table.rad_per_count
+                rad = _turn(servo) * (servo.sign * servo.ratio * state + zero_rad)
+                self._servos[servo.id].push(rad, servo.ratio * speed, servo.ratio * speed / HAND_RAMP_S, t_ns)
 
     def _build(
         self,

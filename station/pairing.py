@@ -9,8 +9,7 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 from scipy.signal import correlate
 
-from station.errors import InvalidData
-from station.lag import (
+from calibration.lag import (
     MAX_COARSE_POINTS,
     MIN_FRAMES,
     Sampler,
@@ -22,6 +21,7 @@ from station.lag import (
     known_rows,
     period,
 )
+from station.errors import InvalidData
 from station.logs import FloatArray, JointLog
 
 # A reference that ranges over less than this has not moved: neither correlation nor lag nor gain means anything.

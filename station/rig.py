@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +26,7 @@ from station.emulated_arm import EmulatedArm
 from station.errors import InvalidData
 from station.formats.rig import EMULATED, RENDERED, RigTable, load_calibration
 from station.formats.simulation import SimulatedCamera, SimulationTable
+from station.hand_motion import HandMotion, HandMovedObject
 from station.perception.markers import MarkerTable
 from station.rig_reading import joint_configs, read_rig
 from station.stage import Stage
@@ -69,29 +71,40 @@ def load_rig(name_or_path: str) -> RigFile:
 
 
 @contextmanager
-def open_rig(rig: RigFile, *, simulate: bool = False, realtime: bool = False, seed: int | None = None) -> Iterator[Rig]:
+def open_rig(
+    rig: RigFile,
+    *,
+    simulate: bool = False,
+    realtime: bool = False,
+    seed: int | None = None,
+    by_hand: HandMotion | None = None,
+) -> Iterator[Rig]:
     """Open a rig's devices and close them after.
 
     Args:
         simulate: use the emulated bus and the rendered camera whatever the rig names; needs a `[simulation]`.
         realtime: run simulated devices on the real clock; else they run on a virtual one, the same on any machine.
         seed: of everything random in the simulation; the rig's own if None.
+        by_hand: what a hand does to the emulated arm, or to the simulated object of a rig without an arm.
+
+    The arm of a rig without servos has no joints and no open port.
 
     Raises:
         InvalidData: a simulation is asked for and not described, or a rendered camera looks at a real arm.
         DriverError: a port or camera that isn't there.
     """
     table = rig.table
-    emulated = simulate or table.bus.port == EMULATED
+    has_arm = bool(table.joint)
+    emulated = has_arm and (simulate or table.bus.port == EMULATED)
     rendered = simulate or table.camera.source == RENDERED
     simulation = table.simulation
     if (emulated or rendered) and simulation is None:
         raise InvalidData(f"{rig.name} has no [simulation]: it can't run without its hardware")
-    if rendered and not emulated:
+    if rendered and has_arm and not emulated:
         raise InvalidData(
             f'{rig.name}: a rendered camera can\'t see a real arm; set port = "emulated" or a camera source'
         )
-    virtual = emulated and rendered and not realtime
+    virtual = rendered and not realtime
     clock: Clock = VirtualClock() if virtual else MonotonicClock()
     if simulation is not None and seed is None:
         seed = simulation.seed
@@ -103,17 +116,22 @@ def open_rig(rig: RigFile, *, simulate: bool = False, realtime: bool = False, se
             port, baud=table.bus.baud, protocol=table.bus.protocol, clock=clock, reply_timeout_s=timeout_s
         )
         arm = Arm(
-            stack.enter_context(client),
+            stack.enter_context(client) if has_arm else client,
             joint_configs(table),
             clock,
             disagreement_rad=float(np.radians(table.safety.disagreement_deg)),
             limits=safety_limits(table),
         )
-        if bus is not None and simulation is not None and rendered:
+        if simulation is not None and rendered:
             stage = Stage(table, simulation, rig.camera_model, seed or 0)
-            camera: Camera = rendered_camera(table, simulation.camera, stage, bus, clock, realtime=not virtual)
+            moved = bus or HandMovedObject(len(stage.joints), by_hand, clock.now_ns())
+            camera: Camera = rendered_camera(table, simulation.camera, stage, moved, clock, realtime=not virtual)
         else:
             camera = real_camera(table, clock)
+        if bus is not None and by_hand is not None:
+            start_ns = clock.now_ns()
+            for joint, state, speed, t_s in by_hand.pushes():
+                bus.push(joint, state, speed, start_ns + round(t_s * 1e9))
         stack.callback(camera.close)
         camera.start()
         simulated_seed = seed if emulated or rendered else None
@@ -157,17 +175,25 @@ def safety_limits(table: RigTable) -> SafetyLimits:
     )
 
 
+class Moved(Protocol):
+    """What has joints that move: an emulated arm, or an object in a hand."""
+
+    def joint_states(self, t_ns: int) -> NDArray[np.float64]:
+        """(J,) true states at a time of the clock, in the order of the stage."""
+        ...
+
+
 def rendered_camera(
-    table: RigTable, camera: SimulatedCamera, stage: Stage, bus: EmulatedArm, clock: Clock, *, realtime: bool
+    table: RigTable, camera: SimulatedCamera, stage: Stage, moved: Moved, clock: Clock, *, realtime: bool
 ) -> RenderedCamera:
-    """The camera that sees the emulated arm on its stage; not started yet."""
+    """The camera that sees what moves on its stage; not started yet."""
     shares = (np.arange(camera.blur_instants) + 0.5) / camera.blur_instants - 0.5
     # (instants, knots): each knot of the rolling shutter has all instants of the exposure.
     offsets_s = shares[:, None] * camera.exposure_s + stage.knots_s
     offsets_ns = np.round(offsets_s * 1e9).astype(int)
 
     def render(t_mid_ns: int, index: int) -> NDArray[np.uint8]:
-        states = [bus.joint_states(t_mid_ns + offset) for offset in offsets_ns.ravel().tolist()]
+        states = [moved.joint_states(t_mid_ns + offset) for offset in offsets_ns.ravel().tolist()]
         return stage.render(np.reshape(states, (*offsets_ns.shape, -1)), index)
 
     return RenderedCamera(

@@ -10,7 +10,7 @@ import numpy as np
 from drivers.errors import DriverError
 from drivers.joints import JointConfig, ServoConfig
 from drivers.servo_models import load_model
-from station.errors import InvalidFile
+from station.errors import InvalidData, InvalidFile
 from station.formats.rig import RigTable, ServoTable, parse_rig
 from station.formats.simulation import MM_PER_M
 from station.formats.text import read_text
@@ -37,6 +37,15 @@ def read_rig(name_or_path: str) -> tuple[RigTable, str, Path]:
     except DriverError as error:
         raise InvalidFile(f"{path}: {error}") from error
     return table, text, path
+
+
+def check_arm(table: RigTable, name: str) -> None:
+    """Raise InvalidData for a rig without servos."""
+    if not table.joint:
+        raise InvalidData(
+            f"{name} has no [bus] and no [[joint]]: there is no arm to command\n"
+            "record what it shows while people move it: station capture RIG --hand --out DIR"
+        )
 
 
 def joint_configs(table: RigTable) -> tuple[JointConfig, ...]:

@@ -19,7 +19,8 @@ from station.simulate.scene import Box, CameraOptics, Plate
 
 UP = np.array([0.0, 0.0, 1.0])
 # Parts of the image between whose edges the motion under a rolling shutter is taken to be even. What that leaves out
-# is an eighth of acceleration times the part's time squared: at 25 ms of readout and 60 rad/s2, 0.01 px at 300 px.
+# is at most an eighth of the acceleration times the part's time squared: 0.015 px at 25 ms of readout, 10 rad/s2 and
+# 300 px from the axis.
 SHUTTER_BANDS = 4
 
 
@@ -59,7 +60,7 @@ class Stage:
 
     def __init__(self, rig: RigTable, simulation: SimulationTable, calibration: CameraModel, seed: int) -> None:
         self.tree = mechanism(simulation)
-        self.joints = tuple(joint.name for joint in rig.joint)
+        self.joints = tuple(joint.name for joint in rig.joint) or tuple(simulation.units())
         self._bodies = simulation.bodies()
         misplaced = _Misplacement(simulation, seed)
         camera = simulation.camera

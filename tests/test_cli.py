@@ -25,7 +25,21 @@ from tests.sessions import SHORT, capture_short, write_motion
 
 # Bytes of a recording that holds frames for certain.
 SOME_FRAMES = 300_000
-COMMANDS = ("demo", "run", "capture", "fit", "compare", "report", "view", "plan", "scan", "doctor", "emulate")
+COMMANDS = (
+    "demo",
+    "run",
+    "capture",
+    "fit",
+    "compare",
+    "report",
+    "view",
+    "plan",
+    "scan",
+    "doctor",
+    "emulate",
+    "track",
+    "export",
+)
 
 
 @pytest.fixture(scope="module")

@@ -8,10 +8,10 @@ import json
 import numpy as np
 import pytest
 
+from calibration.lag import Slope, combined_lag, estimate_slope, held, held_smooth, interpolated
 from station.compare import Comparison, JointComparison, compare
 from station.comparison_files import comparison_csv, comparison_json
 from station.errors import InvalidData
-from station.lag import Slope, combined_lag, estimate_slope, held, held_smooth, interpolated
 from station.logs import FloatArray, JointLog
 
 DURATION_S = 24.0

@@ -7,22 +7,29 @@ import pytest
 from calibration.intrinsics import CameraModel, FloatArray, project
 from station.kinematics import se3
 from station.logs import PoseLog
+from station.perception.choice import choose_over_time, chosen_poses
+from station.perception.corner_noise import (
+    SMALLEST_SIGMA_PX,
+    UNSEEN_SIGMA_PX,
+    estimate_scale,
+    estimate_sigma_px,
+    evidence_weights,
+    total_covariance,
+)
 from station.perception.corners import Detections
 from station.perception.edges import shift_edges
+from station.perception.hypotheses import PoseHypotheses
 from station.perception.markers import Marker, MarkerTable
 from station.perception.observations import ObservationBuilder, ObservationLog
 from station.perception.pose import UNIT_CORNERS, estimate_poses
 from station.simulate.render import SceneRenderer
 from station.simulate.scene import CameraOptics, Plate
 from station.tracking import (
-    SMALLEST_SIGMA_PX,
-    choose_solutions,
     estimate_pose_log,
-    estimate_sigma_px,
-    fuse_poses,
     observe,
     observe_frames,
     reestimate,
+    track_parts,
     viewing_angles,
     viewing_angles_of_parts,
 )
@@ -38,6 +45,8 @@ CAMERA = CameraModel(
 ONE = MarkerTable(DICTIONARY, (Marker(4, "lid", SIZE_M),))
 FACING = np.diag([1.0, -1.0, -1.0])
 AHEAD = np.array([0.0, 0.0, 0.6])
+# Of two candidates one is clearly nearer to the truth if it is so by more than this share of what they are apart.
+CLEARLY = 0.3
 
 
 def tilted(tilt_deg: FloatArray, azimuth_rad: FloatArray | float = 0.4) -> FloatArray:
@@ -86,10 +95,13 @@ def normalised_errors(log: PoseLog, T_cam_part: FloatArray) -> FloatArray:
     return np.einsum("tki,tkij,tkj->tk", error, np.linalg.inv(log.covariance), error) / 6
 
 
-def flips(T: FloatArray, observations: ObservationLog, truth: FloatArray) -> int:
-    """In how many frames the other solution is nearer to the truth than T (F, 4, 4) is."""
-    nearest = np.nan_to_num(rotation_errors_deg(observations.T_cam_marker, truth[:, None]), nan=180.0).min(axis=1)
-    return int(np.sum(rotation_errors_deg(T, truth) > nearest + 1e-6))
+def flips(hypotheses: PoseHypotheses, chosen: np.ndarray, truth: FloatArray) -> int:
+    """In how many frames the candidate of the first part that wasn't chosen (F,) is clearly nearer to the truth."""
+    T = hypotheses.T_cam_part[:, 0]
+    off_deg = np.nan_to_num(rotation_errors_deg(T, truth[:, None]), nan=180.0)
+    apart_deg = np.nan_to_num(rotation_errors_deg(T[:, 0], T[:, 1]))
+    taken = np.take_along_axis(off_deg, chosen[:, None], axis=1)[:, 0]
+    return int(np.sum(taken > off_deg.min(axis=1) + CLEARLY * apart_deg + 1e-6))
 
 
 @pytest.mark.parametrize("motion", ["static", "turning", "swinging"])
@@ -97,10 +109,11 @@ def test_flips_are_repaired_over_time(motion: str) -> None:
     t_s = np.arange(240) / FPS
     azimuth_rad = {"static": 0 * t_s, "turning": 1.5 * t_s, "swinging": 0.5 * np.sin(2 * t_s)}[motion]
     truth = tilted(np.full(len(t_s), 12.0), azimuth_rad)
-    observations = watch(truth[:, None], ONE, sigma_px=0.3)
-    log = estimate_pose_log(observations, ONE, CAMERA)
-    assert flips(observations.T_cam_marker[:, 0], observations, truth) >= 15
-    assert flips(log.T_ref_part[:, 0], observations, truth) <= 2
+    tracked = track_parts(watch(truth[:, None], ONE, sigma_px=0.3), ONE, CAMERA)
+    assert flips(tracked.hypotheses, np.zeros(240, dtype=int), truth) >= 15
+    chosen, ambiguous = tracked.choice.chosen[:, 0], tracked.choice.ambiguous[:, 0]
+    assert flips(tracked.hypotheses, chosen, truth) <= 2
+    assert ambiguous.mean() < 0.2
 
 
 def test_a_swing_through_the_front_keeps_its_side() -> None:
@@ -112,27 +125,53 @@ def test_a_swing_through_the_front_keeps_its_side() -> None:
     assert rotation_errors_deg(log.T_ref_part[oblique, 0], truth[oblique]).max() < 5.0
 
 
-def test_a_choice_that_nothing_decides_is_called_uncertain() -> None:
-    T = np.stack([tilted(np.array(10.0)), tilted(np.array(-10.0))])[None]
-    px = corners_px(T[:, 0])
-    log = ObservationLog(
-        np.zeros(1), np.zeros(1), np.array([4]), px, np.full((1, 4, 2, 2), np.nan), T, np.array([[0.05, 0.05]])
+def two_candidates(chi2: FloatArray, frames: int = 1) -> PoseHypotheses:
+    """A lid in each frame, at a tilt of 10 deg to one side or the other, with squared errors (2,) of the corners."""
+    T = np.stack([tilted(np.array(10.0)), tilted(np.array(-10.0))])
+    covariance = np.diag([1e-6] * 3 + [1e-4] * 3)
+    return PoseHypotheses(
+        np.arange(frames) / FPS,
+        ("lid",),
+        np.broadcast_to(T, (frames, 1, 2, 4, 4)),
+        np.broadcast_to(covariance, (frames, 1, 2, 6, 6)),
+        np.broadcast_to(chi2, (frames, 1, 2)),
+        np.ones((frames, 1)),
     )
-    _, probability = choose_solutions(log, 0.1)
-    assert probability[0] == pytest.approx(0.5)
-    covariance = estimate_pose_log(log, ONE, CAMERA, sigma_px=0.1).covariance
+
+
+def test_a_choice_that_nothing_decides_is_called_ambiguous_and_its_covariance_reaches_the_other() -> None:
+    candidates = two_candidates(np.array([2.0, 2.0]))
+    choice = choose_over_time(candidates)
+    assert choice.probability[0, 0] == pytest.approx(0.5) and choice.ambiguous[0, 0]
+    covariance = chosen_poses(candidates, choice).covariance
     assert covariance is not None
     widest_deg = np.rad2deg(np.sqrt(np.linalg.eigvalsh(covariance[0, 0, 3:, 3:])[-1]))
     assert widest_deg > 0.5**0.5 * 20  # half the weight is on a pose 20 deg away
 
 
+def test_what_one_frame_leaves_open_many_decide() -> None:
+    alone, together = (choose_over_time(two_candidates(np.array([2.0, 3.0]), n)) for n in (1, 30))
+    assert alone.ambiguous.all() and not together.ambiguous.any()
+    assert np.all(together.chosen == 0)
+
+
+def test_frames_that_show_the_same_errors_count_once_for_those() -> None:
+    still = watch(tilted(np.full(100, 20.0))[:, None], ONE, sigma_px=0.05)
+    moving = watch(tilted(np.linspace(20, 70, 100))[:, None], ONE, sigma_px=0.05)
+    stated = total_covariance(still)
+    weight = evidence_weights(still, stated)
+    # However many looks there are at noise of 0.05 px, they tell no more than one at the 0.02 px of unseen errors.
+    assert 3 < 100 * weight[0] < (0.06 / UNSEEN_SIGMA_PX) ** 2
+    assert evidence_weights(moving, stated).min() > 0.5
+
+
 @pytest.mark.parametrize("tilt_deg", [0.0, 5.0, 20.0, 50.0, 70.0])
 def test_stated_covariances_are_honest(tilt_deg: float) -> None:
-    truth = tilted(np.full(300, tilt_deg))[:, None]
-    log = estimate_pose_log(watch(truth, ONE, sigma_px=0.1, seed=int(tilt_deg)), ONE, CAMERA)
-    # The mean of 300 chi-squared of 6 over 6 is 1 +- 0.03, sigma's own estimate is good to 5 %; more at the front.
-    low, high = (0.8, 1.8) if tilt_deg < 10 else (0.8, 1.25)
-    assert low < normalised_errors(log, truth).mean() < high
+    truth = tilted(np.full(900, tilt_deg))[:, None]
+    seen = stating(watch(truth, ONE, sigma_px=0.07, seed=int(tilt_deg)), 0.07)
+    log = estimate_pose_log(seen, ONE, CAMERA)
+    # The mean of 900 chi-squared of 6 over 6 is 1 +- 0.02, the scale's own estimate is good to 5 %.
+    assert 0.8 < normalised_errors(log, truth).mean() < 1.25
 
 
 def test_sigma_is_found_from_the_residuals_despite_bad_rows() -> None:
@@ -145,6 +184,32 @@ def test_sigma_is_found_from_the_residuals_despite_bad_rows() -> None:
 @pytest.mark.parametrize("rms_px", [np.zeros(0), np.full(5, np.nan), np.full(5, 1e-4)])
 def test_sigma_is_never_taken_as_less_than_model_error(rms_px: FloatArray) -> None:
     assert estimate_sigma_px(rms_px) == SMALLEST_SIGMA_PX
+
+
+def stating(observations: ObservationLog, sigma_px: float) -> ObservationLog:
+    """The same, the detector stating that each corner coordinate is good to `sigma_px`."""
+    shape = observations.corner_covariance_px2.shape
+    return replace(observations, corner_covariance_px2=np.broadcast_to(sigma_px**2 * np.eye(2), shape))
+
+
+@pytest.mark.parametrize("said_px", [0.05, 0.1, 0.2])
+def test_stated_covariances_are_scaled_to_what_the_residuals_of_a_log_show(said_px: float) -> None:
+    truth = tilted(np.full(400, 40.0))[:, None]
+    seen = stating(watch(truth, ONE, sigma_px=0.1), said_px)
+    assert estimate_scale(seen.rms_px[:, 0], seen.corner_covariance_px2) == pytest.approx(
+        (0.1 / said_px) ** 2, rel=0.25
+    )
+    assert 0.8 < normalised_errors(estimate_pose_log(seen, ONE, CAMERA), truth).mean() < 1.25
+
+
+def test_a_few_residuals_do_not_overrule_the_detector() -> None:
+    few = stating(watch(tilted(np.full(3, 40.0))[:, None], ONE, sigma_px=0.0), 0.1)
+    assert 0.8 < estimate_scale(few.rms_px[:, 0], few.corner_covariance_px2) <= 1.0
+
+
+def test_what_no_residual_shows_is_added_to_stated_covariances() -> None:
+    perfect = stating(watch(tilted(np.full(100, 40.0))[:, None], ONE, sigma_px=0.0), 0.001)
+    assert np.all(np.diagonal(total_covariance(perfect), axis1=-2, axis2=-1) >= UNSEEN_SIGMA_PX**2)
 
 
 def test_oblique_views_are_dropped() -> None:
@@ -218,22 +283,28 @@ def test_two_markers_of_a_part_tell_more_than_each() -> None:
     assert 0.8 < normalised_errors(both, truth).mean() < 1.3
 
 
-def test_fusion_of_equals_is_their_mean_with_half_the_variance() -> None:
-    centre, covariance = tilted(np.array(20.0)), np.diag([1e-6] * 3 + [1e-4] * 3)
-    xi = np.array([0.001, -0.002, 0.003, 0.01, 0.02, -0.01])
-    T = np.stack([centre @ se3.exp(xi), centre @ se3.exp(-xi)])
-    large = 100 * covariance  # so that their disagreement is chance
-    fused, fused_covariance = fuse_poses(T, np.stack([large, large]), np.array([2, 2]), 3)
-    np.testing.assert_allclose(fused[2], centre, atol=1e-4)  # m, rad: second order in 0.02 rad
-    np.testing.assert_allclose(fused_covariance[2], large / 2, rtol=1e-3, atol=1e-6)  # m^2, rad^2: second order
-    assert np.all(np.isnan(fused[:2])) and np.all(np.isnan(fused_covariance[:2]))
-
-
 def test_markers_that_disagree_make_the_part_less_certain() -> None:
-    T = np.stack([tilted(np.array(20.0)), tilted(np.array(25.0))])
-    covariance = np.stack([np.diag([1e-6] * 6)] * 2)
-    _, fused_covariance = fuse_poses(T, covariance, np.array([0, 0]), 1)
-    assert np.trace(fused_covariance[0]) > 100 * np.trace(covariance[0] / 2)
+    truth = tilted(np.full(20, 10.0))[:, None]
+    seen = watch(truth, BRACKET, sigma_px=0.1)
+    bent = MOUNTS[1] @ se3.exp(np.array([0.0, 0, 0, 0, 0.05, 0]))
+    wrong = MarkerTable(DICTIONARY, (BRACKET.markers[0], replace(BRACKET.markers[1], T_part_marker=bent)))
+    right_covariance, wrong_covariance = (
+        estimate_pose_log(seen, table, CAMERA).covariance for table in (BRACKET, wrong)
+    )
+    assert right_covariance is not None and wrong_covariance is not None
+    assert np.trace(wrong_covariance[0, 0]) > 5 * np.trace(right_covariance[0, 0])
+
+
+def test_a_marker_from_the_side_tells_which_way_a_frontal_one_of_its_part_leans() -> None:
+    mounts = (np.eye(4), se3.pose(se3.exp_so3(np.array([0.0, 0.7, 0.0])), np.array([0.06, 0.0, -0.02])))
+    table = MarkerTable(DICTIONARY, tuple(Marker(k, "bracket", SIZE_M, mount) for k, mount in enumerate(mounts)))
+    truth = tilted(np.full(200, 12.0), 2.0)
+    seen = watch(truth[:, None], table, sigma_px=0.4)
+    frontal = track_parts(seen, MarkerTable(DICTIONARY, table.markers[:1]), CAMERA).hypotheses
+    both = track_parts(seen, table, CAMERA)
+    assert flips(frontal, np.zeros(200, dtype=int), truth) > 20
+    assert flips(both.hypotheses, np.zeros(200, dtype=int), truth) == 0
+    assert not both.choice.ambiguous.any()
 
 
 def test_poses_follow_the_camera_that_is_given() -> None:

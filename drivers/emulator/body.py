@@ -64,6 +64,7 @@ class Control(Enum):
     DUTY = "duty"
     SPEED = "speed"
     POSITION = "position"
+    HAND = "hand"  # no motor: a hand takes the shaft where the profile says
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,6 +86,7 @@ class Drive:
 
 
 OFF = Drive(Control.TORQUE)
+HAND = Drive(Control.HAND)
 
 
 @dataclass(frozen=True, slots=True)
@@ -182,7 +184,7 @@ class Body:
         if knot.lead is not None:
             return knot.lead.sign * knot.lead.body.output(t_ns)
         drive = knot.drive
-        if drive.control is Control.TORQUE:
+        if drive.control in (Control.TORQUE, Control.HAND):
             return drive.output
         if drive.control is Control.DUTY:  # a direct-current motor: the speed takes its part of the voltage
             return drive.output - self.at(t_ns)[1] / self._max_speed_rad_s
@@ -200,7 +202,7 @@ class Body:
     def strain(self, t_ns: int) -> float:
         """Size of the output from a time on, as it heats; friction counts from the start of a motion."""
         knot = self._knot(t_ns)
-        if not knot.rigid or knot.drive.control is Control.TORQUE:
+        if not knot.rigid or knot.drive.control in (Control.TORQUE, Control.HAND):
             return abs(self.output(t_ns))
         inertia = abs(self.profile.acceleration(t_ns)) / self._max_acceleration_rad_s2
         return INERTIA * inertia + FRICTION * self.profile.moving(t_ns)
@@ -359,6 +361,8 @@ class Body:
     def _way(self, knot: _Knot, t_ns: int, dt: float) -> float:
         """How far the motor would turn since the knot if nothing were in the way."""
         drive, load = knot.drive, knot.load
+        if drive.control is Control.HAND:
+            return self.profile.at(t_ns)[0] - self.profile.at(knot.t_ns)[0]
         if drive.control is Control.TORQUE:
             net = drive.output + load
             return math.copysign(max(0.0, abs(net) - FRICTION), net) * self._max_speed_rad_s * dt

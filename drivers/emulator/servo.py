@@ -7,7 +7,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
-from drivers.emulator.body import STEP_NS, Body
+from drivers.emulator.body import HAND, STEP_NS, Body
 from drivers.emulator.heat import Heat
 from drivers.emulator.modes import Mode, bit, frame_of, mode_of
 from drivers.emulator.present import Present
@@ -271,6 +271,21 @@ class EmulatedServo:
         if lower > upper:
             raise DriverError(f"servo {self.id}: an obstruction from {lower:g} to {upper:g} rad; lower must be lower")
         self.schedule(t_ns, lambda t_ns: self.shaft.obstruct(t_ns, lower, upper))
+
+    def push(self, rad: float, rad_s: float, rad_s2: float, t_ns: int) -> None:
+        """From a time on a hand takes the shaft to an angle, and holds it there; not against torque.
+
+        Args:
+            rad: from the model's zero count.
+            rad_s, rad_s2: the hand's speed and acceleration.
+        """
+
+        def take(t_ns: int) -> None:
+            if not self.get("torque_enable"):
+                self.shaft.drive(t_ns, HAND)
+                self.shaft.profile.move(t_ns, rad, rad_s, rad_s2)
+
+        self.schedule(t_ns, take)
 
     def schedule(self, t_ns: int, change: Callable[[int], None]) -> None:
         """Let something happen to the servo at a time, which it is told; at once if that is past."""

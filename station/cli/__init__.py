@@ -6,20 +6,15 @@ import signal
 import sys
 from collections.abc import Callable
 from functools import partial
+from importlib import import_module
 from types import FrameType
 from typing import NoReturn
 
-from station.cli import sessions  # noqa: F401 (its commands join the application)
-
-# isort: split
-from station.cli import bus  # noqa: F401 (after them, as `station --help` lists the commands)
-
-# isort: split
-from station.cli import boards, camera  # noqa: F401
-
-# isort: split
 from station.cli.app import app, calibrate
 
+# Their commands join the application as they are imported: in this order `station --help` lists them.
+for _name in ("sessions", "logs", "boards", "camera", "arm_calibration", "bus"):
+    import_module(f"station.cli.{_name}")
 app.add_typer(calibrate)
 
 EXIT_ERROR, EXIT_HARDWARE, EXIT_SIGINT, EXIT_SIGTERM = 1, 3, 130, 143

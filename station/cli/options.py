@@ -26,6 +26,7 @@ Realtime = Annotated[bool, typer.Option("--realtime", help="Simulate on the real
 Simulate = Annotated[
     bool, typer.Option("--simulate", help="Emulated servos and a rendered camera, whatever the rig names.")
 ]
+Yes = Annotated[bool, typer.Option("--yes", help="Don't ask: the arm is held, and may drop.")]
 RigArgument = Annotated[
     str, typer.Argument(metavar="RIG", help="Rig: a file, or the name of a packaged one such as demo.")
 ]

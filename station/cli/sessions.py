@@ -21,8 +21,9 @@ from station.cli.options import (
     Seed,
     SessionArgument,
     Simulate,
+    Yes,
 )
-from station.cli.show import progress, say_next, saying_what_is_left, table, warn
+from station.cli.show import asking, progress, say_next, saying_what_is_left, table, warn
 
 if TYPE_CHECKING:
     from station.compare import Comparison
@@ -77,22 +78,43 @@ def _run(rig: str, motion: str, out: Path, as_json: bool, **settings: Any) -> No
 @app.command()
 def capture(
     rig: RigArgument,
-    motion: MotionArgument,
     out: Out,
+    motion: Annotated[
+        str | None,
+        typer.Argument(metavar="[MOTION]", help="Motion: a file, or a packaged one's name; none with --hand."),
+    ] = None,
+    hand: Annotated[
+        bool, typer.Option("--hand", help="Torque OFF: people move the arm, or any marked object.")
+    ] = False,
+    duration_s: Annotated[
+        float | None, typer.Option("--duration-s", min=0.1, help="How long to record with --hand; until Ctrl-C.")
+    ] = None,
+    yes: Yes = False,
     seed: Seed = None,
     simulate: Simulate = False,
     realtime: Realtime = False,
     force: Force = False,
     as_json: Json = False,
 ) -> None:
-    """Run a motion on a rig and record it into a session folder."""
+    """Run a motion on a rig and record it into a session folder; with --hand, record what people move.
+
+    With --hand torque goes off and stays off: an arm that was held DROPS, and you are asked before. The rig needs no
+    servos then. Ctrl-C is the normal end.
+    """
     from station import commands
 
+    if hand == (motion is not None):
+        raise typer.BadParameter("want a motion, or --hand" if not hand else "want a motion or --hand, not both")
+    if duration_s is not None and not hand:
+        raise typer.BadParameter("--duration-s goes with --hand; a motion lasts as long as it does")
+    settings: dict[str, Any] = {"seed": seed, "simulate": simulate, "realtime": realtime, "force": force}
     with saying_what_is_left(out), progress() as bar:
-        bar.stage("capture")
-        counts = commands.capture(
-            rig, motion, out, seed=seed, simulate=simulate, realtime=realtime, force=force, progress=bar.update
-        )
+        bar.stage("by hand" if hand else "capture")
+        settings["progress"] = bar.update
+        if motion is None:
+            counts = commands.capture_by_hand(rig, out, ask=asking(yes), duration_s=duration_s, **settings)
+        else:
+            counts = commands.capture(rig, motion, out, **settings)
     if as_json:
         print(json.dumps(counts.as_dict()))
     else:
@@ -123,6 +145,15 @@ def fit(
     include_reference: Annotated[
         bool, typer.Option("--include-reference", help="Take the frame of the poses for a static part.")
     ] = False,
+    smooth: Annotated[
+        str | None,
+        typer.Option(
+            "--smooth",
+            help="Smooth the poses first: lowpass:HZ, kalman, or kalman:S (fills gaps up to S s). "
+            "It correlates their noise: stated deviations get too small.",
+            show_default=False,
+        ),
+    ] = None,
     force: Force = False,
     as_json: Json = False,
 ) -> None:
@@ -142,7 +173,7 @@ def fit(
         root=root,
         include_reference=include_reference,
     )
-    result = commands.fit(source, out, options=options, force=force)
+    result = commands.fit(source, out, options=options, smooth=smooth, force=force)
     if as_json:
         print((result.folder / TREE_FILE).read_text(encoding="utf-8"))
     else:
@@ -166,10 +197,20 @@ def compare(session: SessionArgument, commands_csv: Commands = None, as_json: Js
 
 @app.command()
 def report(session: SessionArgument, commands_csv: Commands = None, as_json: Json = False) -> None:
-    """Write a session's report: Figure 7, tables, the tree."""
-    from station import commands
+    """Write a session's report: Figure 7, tables, the tree.
 
-    _show_comparison(commands.report(session, commands=commands_csv), as_json)
+    Without commands, as for a video: the tree, the joints' states, when the parts were seen.
+    """
+    from station import commands
+    from station.compare import Comparison
+    from station.fit_files import read_fit
+    from station.session import FIT_FOLDER
+
+    comparison = commands.report(session, commands=commands_csv)
+    if comparison is not None or as_json:
+        _show_comparison(comparison or Comparison(()), as_json)
+    else:
+        _show_tree(read_fit(session / FIT_FOLDER).tree)
     say_next(f"report        {session / 'report' / 'report.html'}")
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -100,6 +100,27 @@ def progress() -> Iterator[Bar]:
             bar.hide()
             raise
         bar.finish()
+
+
+def asking(yes: bool) -> Callable[[str], None]:
+    """Tells a person what happens next and waits for Enter; with `yes` it tells and goes on.
+
+    Raises:
+        InvalidData: where there is no person to ask, or they say no.
+    """
+    from station.errors import InvalidData
+
+    def ask(text: str) -> None:
+        if yes:
+            say_next(text)
+            return
+        if not sys.stdin.isatty():
+            raise InvalidData(f"nobody can be asked here\n{text}\nrun it on a terminal, or say --yes")
+        say_next(f"{text}, then press Enter (n and Enter: stop)")  # a whole line: a bar may be under way
+        if sys.stdin.readline().strip().lower() not in ("", "y", "yes"):
+            raise InvalidData("stopped; nothing was changed")
+
+    return ask
 
 
 @contextmanager

@@ -82,7 +82,7 @@ def examine(
         say("servos")
         port = bench.port_findings()
         # A port that another program uses isn't disturbed.
-        report = BusReport([NOT_ASKED]) if blocks(port) else bench.examine_bus(fixes)
+        report = BusReport([NOT_ASKED]) if blocks(port) or not table.joint else bench.examine_bus(fixes)
         findings += port + report.findings
         say("camera")
         watched = bench.watch(calibration)
@@ -116,6 +116,8 @@ class _Bench:
 
     def port_findings(self) -> list[Finding]:
         """Of the port without opening it."""
+        if not self._table.joint:
+            return []  # the rig of an object that is moved by hand
         if self._emulated:
             return [Finding("port", "exists", Verdict.OK, "emulated", brief="emulated")]
         return check_port(self._port, User.of_this_program(), self._system)

@@ -13,10 +13,10 @@ from calibration.errors import CalibrationError
 from calibration.intrinsics import CameraModel
 from drivers.camera import STALL_S, Controls
 from station.errors import InvalidData, InvalidFile
-from station.formats.camera import CameraTable, parse_camera
+from station.formats.camera import CameraTable
+from station.formats.camera_files import read_camera
 from station.formats.markers import MarkersModel
 from station.formats.simulation import MM_PER_M, NotNegative, Positive, SimulationTable, check_simulation
-from station.formats.text import read_text
 from station.formats.toml_models import StrictModel, parse
 from station.logs import check_slugs
 from station.motion import JointLimits, Unit
@@ -44,6 +44,10 @@ class BusTable(StrictModel):
         if protocol not in PROTOCOLS:
             raise ValueError(f"want 1.0 or 2.0; have {protocol}")
         return protocol
+
+
+# Of a rig without an arm: an object that people move, before a camera.
+NO_BUS = BusTable(port="none", protocol=2.0)
 
 
 class ServoTable(StrictModel):
@@ -161,11 +165,11 @@ class SafetyTable(StrictModel):
 
 
 class RigTable(StrictModel):
-    """The keys of rig.toml."""
+    """The keys of rig.toml; without [bus] and [[joint]] it is that of an object that is moved by hand."""
 
     name: str = "rig"
-    bus: BusTable
-    joint: Annotated[list[JointTable], Field(min_length=1)]
+    bus: BusTable = NO_BUS
+    joint: list[JointTable] = Field(default_factory=list[JointTable])
     camera: CameraSettings
     markers: MarkersModel
     safety: SafetyTable = SafetyTable()
@@ -178,6 +182,9 @@ class RigTable(StrictModel):
             ids = {marker.id for marker in self.markers.to_table().markers}
         except InvalidData as error:
             raise ValueError(str(error)) from error
+        if ("bus" in self.model_fields_set) != bool(self.joint):
+            have, lacks = ("[bus]", "[[joint]]") if "bus" in self.model_fields_set else ("[[joint]]", "[bus]")
+            raise ValueError(f"has {have} and no {lacks}; an arm has both, an object moved by hand neither")
         servos = [servo.id for joint in self.joint for servo in joint.servo]
         if len(set(servos)) != len(servos):
             raise ValueError(f"each servo id may stand once; have {servos}")
@@ -185,7 +192,8 @@ class RigTable(StrictModel):
             if self.bus.port == EMULATED or self.camera.source == RENDERED:
                 raise ValueError('port "emulated" and source "rendered" need a [simulation]')
         else:
-            check_simulation(self.simulation, {joint.name: joint.unit for joint in self.joint}, ids)
+            units = {joint.name: joint.unit for joint in self.joint} if self.joint else self.simulation.units()
+            check_simulation(self.simulation, units, ids)
         return self
 
     def limits(self) -> tuple[JointLimits, ...]:
@@ -215,7 +223,7 @@ def load_calibration(rig: RigTable, folder: Path, name: str) -> CameraModel:
             'give calibration = "camera.toml" under [camera], or an inline [camera.calibration]'
         )
     try:
-        camera = given.to_camera() if isinstance(given, CameraTable) else _read_camera(folder / given)
+        camera = given.to_camera() if isinstance(given, CameraTable) else read_camera(folder / given)
     except CalibrationError as error:
         raise InvalidFile(f"{name}, camera, calibration: {error}") from error
     if list(camera.size_px) != rig.camera.size_px:
@@ -225,7 +233,3 @@ def load_calibration(rig: RigTable, folder: Path, name: str) -> CameraModel:
             "calibrate at the size that is captured, or set size_px to the calibration's"
         )
     return camera if rig.camera.readout_s is None else replace(camera, readout_s=rig.camera.readout_s)
-
-
-def _read_camera(path: Path) -> CameraModel:
-    return parse_camera(read_text(path, "calibration"), str(path))

@@ -118,6 +118,10 @@ class SimulationTable(StrictModel):
             raise ValueError(str(error)) from error
         return faults
 
+    def units(self) -> dict[str, str]:
+        """Unit of each simulated joint's states: rad, of a prismatic one m."""
+        return {joint.name: "m" if joint.type == "prismatic" else "rad" for joint in self.joint}
+
     def bodies(self) -> tuple[str, ...]:
         """The root, then each joint's child, in the order of the file."""
         return (self.root, *(joint.child for joint in self.joint))

@@ -7,6 +7,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+import numpy as np
+
+from station.errors import InvalidData
 from station.formats.pose_rows import (
     on_common_times,
     pose_log_of_rows,
@@ -16,6 +19,7 @@ from station.formats.pose_rows import (
     slug_of_file,
 )
 from station.formats.table import parse_words
+from station.kinematics import se3
 from station.logs import PoseLog
 
 COLUMNS = ("t", "x", "y", "z", "qx", "qy", "qz", "qw")
@@ -52,3 +56,21 @@ def parse_tum_files(texts: Mapping[str, str], name: str) -> PoseLog:
         InvalidFile: as `parse_tum`, and for two files that name the same part.
     """
     return on_common_times([parse_tum(text, file) for file, text in texts.items()], name)
+
+
+def format_tum(log: PoseLog, part: str) -> str:
+    """Text of one part's trajectory; times at which it wasn't seen have no row. Covariances are lost.
+
+    Numbers read back to the same float64.
+
+    Raises:
+        InvalidData: the part's rotations weren't observed, which TUM can't tell.
+    """
+    k = log.parts.index(part)
+    seen = log.seen[:, k]
+    if log.covariance is not None and np.any(np.isinf(log.covariance[seen, k, 3:, 3:])):
+        raise InvalidData(f"the rotations of '{part}' were not observed; TUM wants them: choose another format")
+    xyz, wxyz = se3.to_xyz_wxyz(log.T_ref_part[seen, k])
+    rows = np.column_stack([log.t_s[seen], xyz, wxyz[:, [1, 2, 3, 0]]]).tolist()
+    lines = [f"# {' '.join(COLUMNS)}", *(" ".join(map(repr, row)) for row in rows)]
+    return "\n".join(lines) + "\n"

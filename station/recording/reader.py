@@ -47,6 +47,8 @@ T = TypeVar("T")
 Batches = Mapping[str, Sequence[pa.RecordBatch]]
 
 NS_PER_S = 1e9
+# float64 holds every whole number below this.
+EXACT_NS = 1 << 53
 READ_SCHEMAS = (SESSION_SCHEMA,)
 
 
@@ -126,6 +128,16 @@ class Recording:
             raise InvalidFile(f"{self.path} has no image of frame {row}; its markers are there")
         return jpeg
 
+    def frame_jpegs(self) -> Iterator[tuple[int, bytes]]:
+        """Each frame that is kept, in order: nanoseconds since the session's start, and its JPEG.
+
+        Raises:
+            InvalidFile: the file is damaged.
+        """
+        framing = scan_framing(self.path)
+        with _rerun_errors(self.path), _readable(self.path, framing) as source:
+            yield from _images(_stream(source, framing))
+
     def frame_image(self, row: int) -> NDArray[np.uint8]:
         """The frame in this row of `observations.t_s`, decoded: (H, W, 3) BGR."""
         import cv2
@@ -203,6 +215,15 @@ def _find_image(stream: LazyChunkStream, elapsed_ns: int) -> bytes | None:
     return None
 
 
+def _images(stream: LazyChunkStream) -> Iterator[tuple[int, bytes]]:
+    """Time since the start (ns) and JPEG of each frame, as the chunks have them: in the order of writing."""
+    for chunk in stream.filter(content=f"/{IMAGE}", is_static=False, components=BLOB):
+        batch = chunk.to_record_batch()
+        times = batch.column(ELAPSED).cast(pa.int64()).to_pylist()
+        for row, elapsed_ns in enumerate(times):
+            yield elapsed_ns, _blob(batch.column(BLOB)[row])
+
+
 def _batches(stream: LazyChunkStream) -> Batches:
     """The rows that a fit needs, by entity; static rows only of the description."""
     paths = [PROPERTY_ENTITY, *(f"/{entity}" for entity in (COMMANDED, MEASURED, OBSERVATIONS, EVENTS))]
@@ -247,7 +268,10 @@ ADDED = ("corner_covariance_px2",)
 
 
 def _seconds(nanoseconds: IntArray) -> FloatArray:
-    return nanoseconds.astype(np.float64) / NS_PER_S
+    """Seconds to the last digit, also since 1970: beyond 2^53 ns, whole seconds and the rest are converted apart."""
+    whole, rest = np.divmod(nanoseconds, int(NS_PER_S))
+    exact = np.abs(nanoseconds) < EXACT_NS
+    return np.where(exact, nanoseconds / NS_PER_S, whole + rest / NS_PER_S)
 
 
 def _description(batches: Sequence[pa.RecordBatch]) -> tuple[str, int, SessionDescription]:

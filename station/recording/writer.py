@@ -229,20 +229,21 @@ class RecordingWriter:
         self._log(t_ns, EVENTS, rr.TextLog(text, level=level))
         self._counts["events"] += 1
 
-    def log_frame(self, index: int, t_ns: int, image: bytes | NDArray[np.uint8], markers: FrameMarkers) -> None:
+    def log_frame(self, index: int, t_ns: int, image: bytes | NDArray[np.uint8] | None, markers: FrameMarkers) -> None:
         """Log one frame and the markers detected in it.
 
         Args:
             index: the camera's number of the frame, increasing; dropped frames leave gaps.
             t_ns: stamp of its arrival, increasing.
-            image: (H, W, 3) BGR or (H, W) grey, encoded here; or a JPEG's bytes.
+            image: (H, W, 3) BGR or (H, W) grey, encoded here; or a JPEG's bytes; None leaves it out.
             markers: may be none.
         """
         columns = {name: pa.array(getattr(markers, name).ravel()) for name in MARKER_SHAPES}
         observed = rr.AnyValues(count=_integer(len(markers)), **columns)
-        jpeg = rr.EncodedImage(contents=_encoded(image), media_type="image/jpeg")
         self._log(t_ns, OBSERVATIONS, observed, frame=index)
-        self._log(t_ns, IMAGE, jpeg, frame=index)
+        if image is not None:
+            jpeg = rr.EncodedImage(contents=_encoded(image), media_type="image/jpeg")
+            self._log(t_ns, IMAGE, jpeg, frame=index)
         self._log(t_ns, OVERLAY, *scene.outlines(self._markers, markers), frame=index)
         self._log_poses(t_ns, index, dict(zip(markers.marker_id.tolist(), markers.T_cam_marker[:, 0], strict=True)))
         self._counts["frames"] += 1

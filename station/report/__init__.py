@@ -4,5 +4,16 @@ from station.report.figure7 import Viewing, figure7
 from station.report.page import save_figure, write_report
 from station.report.tables import summary_rows, tree_rows
 from station.report.tree_figure import tree_figure
+from station.report.visibility import Visibility, visibility_figure
 
-__all__ = ["Viewing", "figure7", "save_figure", "summary_rows", "tree_figure", "tree_rows", "write_report"]
+__all__ = [
+    "Viewing",
+    "Visibility",
+    "figure7",
+    "save_figure",
+    "summary_rows",
+    "tree_figure",
+    "tree_rows",
+    "visibility_figure",
+    "write_report",
+]

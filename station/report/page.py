@@ -17,6 +17,7 @@ from station.report.figure7 import OBLIQUE_DEG, Viewing, figure7
 from station.report.style import DARK, LIGHT
 from station.report.tables import error_texts, gain_text, lag_text, tree_rows_with
 from station.report.tree_figure import tree_figure
+from station.report.visibility import Visibility, visibility_figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -41,6 +42,7 @@ def write_report(
     facts: Mapping[str, str],
     viewing: Viewing | None,
     warnings: Sequence[str],
+    visibility: Visibility | None = None,
 ) -> None:
     """Write report.html and, with a comparison, figure7.png, figure7.svg, comparison.csv and comparison.json.
 
@@ -54,8 +56,11 @@ def write_report(
         facts: of the session: frames, drops, versions, ...
         viewing: by commanded joint.
         warnings: sentences; joints without a counterpart are added here.
+        visibility: when the parts were seen, to be drawn.
     """
     figures = {"tree": svg(tree_figure(tree, states))}
+    if visibility is not None:
+        figures["visibility"] = svg(visibility_figure(visibility))
     files: dict[str, bytes] = {}
     if comparison is not None:
         figure = figure7(comparison, viewing)
@@ -89,6 +94,7 @@ def _page(
         clock_lag=None if comparison is None else _clock_lag(comparison),
         has_readback=comparison is not None and any(joint.against_measured for joint in comparison.joints),
         oblique_deg=oblique_deg,
+        steep_deg=OBLIQUE_DEG,
         tree_rows=tree_rows_with(tree, NAME_LETTERS),
         groups=tree.rigid_groups,
         trees=len(tree.trees),

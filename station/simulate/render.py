@@ -186,15 +186,17 @@ class SceneRenderer:
         if instants.shape[2] < self._bodies:
             raise InvalidData(f"have poses of {instants.shape[2]} bodies; the scene has {self._bodies}")
         check_poses(instants, "T_cam_body")
-        draws = [[self._draw_list(poses) for poses in knots] for knots in instants]
-        layer = self._still_layer(np.concatenate(list(instants)), draws[0][0])
+        layer = self._still_layer(np.concatenate(list(instants)))
+        moving = ~np.isin(self._quads.body, list(layer.poses))
+        draws = [[self._draw_list(poses, moving) for poses in knots] for knots in instants]
         grey = self._with_moving(layer, [self._bands(knots) for knots in draws])
         return self._with_noise(grey, frame_index)
 
-    def _draw_list(self, T_cam_body: FloatArray) -> _Draw:
+    def _draw_list(self, T_cam_body: FloatArray, wanted: NDArray[np.bool_]) -> _Draw:
+        """All quads of an instant, of which those not `wanted` are not visible."""
         quads = self._quads
         T_cam_quad = T_cam_body[quads.body] @ quads.T_body_quad
-        visible = facing(T_cam_quad)
+        visible = wanted & facing(T_cam_quad)
         matrices = np.zeros((len(visible), 3, 3))
         matrices[visible] = ray_matrices(T_cam_quad[visible], quads.half_m[visible])
         rectangles = np.zeros((len(visible), 4), dtype=np.int64)
@@ -217,7 +219,7 @@ class SceneRenderer:
             bands.append(_Band(ends, top, bottom, (rows / rows_each - k).astype(np.float32)))
         return bands
 
-    def _still_layer(self, instants: FloatArray, draw: _Draw) -> _Layer:
+    def _still_layer(self, instants: FloatArray) -> _Layer:
         """The layer of the bodies that stand still, taken from the last frame where those are the same."""
         still = np.all(instants == instants[:1], axis=(0, 2, 3))
         poses = {body: instants[0, body].tobytes() for body in range(self._bodies) if still[body]}
@@ -225,15 +227,16 @@ class SceneRenderer:
         self._last = {body: instants[-1, body].tobytes() for body in range(self._bodies)}
         layer = self._layer
         if layer is None or not (resting.keys() <= layer.poses.keys() and layer.poses.items() <= poses.items()):
-            layer = self._layer = self._draw_layer(resting, draw)
+            layer = self._layer = self._draw_layer(resting, instants[0])
         return layer
 
-    def _draw_layer(self, poses: dict[int, bytes], draw: _Draw) -> _Layer:
+    def _draw_layer(self, poses: dict[int, bytes], T_cam_body: FloatArray) -> _Layer:
         depth, light = self._still_depth, self._still_light
         depth[...] = 0
         light[...] = self._wall_samples
-        for quad in np.flatnonzero(draw.visible & np.isin(self._quads.body, list(poses))):
-            self._draw_quad(int(quad), self._bands([draw])[0], depth, light)
+        (band,) = self._bands([self._draw_list(T_cam_body, np.isin(self._quads.body, list(poses)))])
+        for quad in np.flatnonzero(band.draws[0].visible):
+            self._draw_quad(int(quad), band, depth, light)
         width, height = self._optics.size_px
         pixels = _pixels(light)
         return _Layer(poses, pixels, self._developed(pixels, (0, 0, width, height)))
@@ -245,15 +248,14 @@ class SceneRenderer:
 
     def _with_moving(self, layer: _Layer, instants: Sequence[list[_Band]]) -> Singles:
         """Grey levels (H, W, 3) of the layer with the bodies that move drawn into it."""
-        moving = ~np.isin(self._quads.body, list(layer.poses))
         draws = [draw for bands in instants for band in bands for draw in band.draws]
-        touched = np.concatenate([draw.regions[draw.visible & moving] for draw in draws])
+        touched = np.concatenate([draw.regions[draw.visible] for draw in draws])
         if not len(touched):
             return layer.grey
         x0, y0, x1, y1 = area = _union(touched)
         total = np.zeros((y1 - y0, x1 - x0, 3), np.float32)
         for bands in instants:  # of one exposure: few
-            cv2.accumulate(self._drawn(bands, moving, area), total)
+            cv2.accumulate(self._drawn(bands, area), total)
         pixels, grey = self._work_pixels, self._work_grey
         pixels[...] = layer.pixels
         grey[...] = layer.grey
@@ -264,7 +266,7 @@ class SceneRenderer:
         grey[changed[1] : changed[3], changed[0] : changed[2]] = self._developed(pixels, changed)
         return grey
 
-    def _drawn(self, bands: Sequence[_Band], moving: NDArray[np.bool_], area: Rectangle) -> Light:
+    def _drawn(self, bands: Sequence[_Band], area: Rectangle) -> Light:
         """Light of the pixels in `area` at one instant."""
         x0, y0, x1, y1 = area
         samples = slice(2 * y0, 2 * y1), slice(2 * x0, 2 * x1)
@@ -272,7 +274,7 @@ class SceneRenderer:
         self._work_light[samples] = self._still_light[samples]
         for band in bands:
             first, second = band.draws
-            for quad in np.flatnonzero(first.visible & second.visible & moving):
+            for quad in np.flatnonzero(first.visible & second.visible):
                 self._draw_quad(int(quad), band, self._work_depth, self._work_light)
         return _pixels(self._work_light[samples])
 
@@ -296,7 +298,7 @@ class SceneRenderer:
         bound = cv2.max(cv2.max(np.abs(a), np.abs(b)), depth[samples])
         shown = cv2.compare(w, bound, cv2.CMP_GT)
         plate = self._quads.plates[quad]
-        colour = np.minimum(np.rint(first.light[quad] * FULL), FULL)
+        colour = np.minimum(np.rint((first.light[quad] + second.light[quad]) / 2 * FULL), FULL)
         if plate is None:
             brush = self._brush[samples]
             cv2.rectangle(brush, (0, 0), (brush.shape[1], brush.shape[0]), colour.tolist(), cv2.FILLED)

@@ -124,13 +124,35 @@ def test_reading_before_start_says_so() -> None:
         real(Scene()).read(soon())
 
 
-@pytest.mark.parametrize(("fps", "exposure_s", "latency_s"), [(0.0, 0.0, 0.0), (30.0, 0.04, 0.0), (30.0, 0.01, -0.1)])
-def test_times_that_make_no_camera_are_refused(fps: float, exposure_s: float, latency_s: float) -> None:
+@pytest.mark.parametrize(
+    ("fps", "exposure_s", "readout_s", "latency_s"),
+    [
+        (0.0, 0.0, 0.0, 0.0),
+        (30.0, 0.04, 0.0, 0.0),
+        (30.0, 0.01, 0.04, 0.0),
+        (30, 0.01, -0.01, 0),
+        (30, 0.01, 0, -1),
+    ],
+)
+def test_times_that_make_no_camera_are_refused(
+    fps: float, exposure_s: float, readout_s: float, latency_s: float
+) -> None:
     with pytest.raises(CameraError, match="exposure 0 to 1 / fps"):
         RenderedCamera(
-            Scene(), size_px=SIZE, fps=fps, exposure_s=exposure_s, latency_s=latency_s, clock=VirtualClock(),
-            realtime=False,
+            Scene(), size_px=SIZE, fps=fps, exposure_s=exposure_s, readout_s=readout_s, latency_s=latency_s,
+            clock=VirtualClock(), realtime=False,
         )  # fmt: skip
+
+
+def test_a_rolling_shutter_is_read_out_before_the_frame_comes() -> None:
+    scene, clock = Scene(), VirtualClock()
+    camera = RenderedCamera(
+        scene, size_px=SIZE, fps=20.0, exposure_s=0.008, readout_s=0.02, latency_s=0.005, clock=clock, realtime=False
+    )
+    camera.start()
+    frames = read_frames(camera, 2)
+    assert [frame.t_ns for frame in frames] == [33 * MS, 83 * MS]
+    assert scene.asked == [(14 * MS, 0), (64 * MS, 1)]  # the middle of the middle row's exposure
 
 
 def test_in_real_time_frames_come_when_they_arrive() -> None:

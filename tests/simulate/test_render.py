@@ -22,6 +22,7 @@ NO_DISTORTION = (0.0, 0.0, 0.0, 0.0, 0.0)
 WEBCAM = (0.05, -0.1, 0.001, -0.0005, 0.02)
 STRONG = (-0.35, 0.12, 0.003, -0.002, 0.0)
 SIZE_M, MARGIN_M = 0.05, 0.01
+EDGE_POINTS = 60
 FACING = np.diag([1.0, -1.0, -1.0])  # rotation of a marker that faces the camera, upright
 ORANGE = (50, 120, 210)
 
@@ -80,13 +81,18 @@ def marker_points(per_edge: int) -> FloatArray:
 
 
 def edge_errors(image: np.ndarray, T_cam_marker: FloatArray, camera: CameraOptics) -> FloatArray:
-    """Mean place (4,) of each edge of a marker in a linear image, px outward of the truth.
+    """Mean place (4,) of each edge of a marker in a linear image, px outward of the truth."""
+    edges_px = np.array([projected(edge, T_cam_marker, camera) for edge in marker_points(EDGE_POINTS)])
+    return errors_of_edges(image, edges_px)
+
+
+def errors_of_edges(image: np.ndarray, points: FloatArray) -> FloatArray:
+    """Mean place (4,) of edges in a linear image, px outward of where their points (4, N, 2) should be.
 
     A profile across a blurred edge holds as much light as the sharp edge at its true place would.
     """
-    reach, step, count = 2.0, 0.25, 60
+    reach, step, count = 2.0, 0.25, points.shape[1]
     across = np.arange(-reach, reach + step / 2, step)
-    points = np.array([projected(edge, T_cam_marker, camera) for edge in marker_points(count)])
     tangent = np.gradient(points, axis=1)
     normal = np.stack([tangent[..., 1], -tangent[..., 0]], axis=-1)
     normal /= np.linalg.norm(normal, axis=-1, keepdims=True)

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 from scipy.signal import find_peaks
 
-from station.logs import FloatArray
-
+FloatArray = NDArray[np.float64]
 Sampler = Callable[[FloatArray], FloatArray]
 """States at any times (s); NaN where there is none."""
 
@@ -154,10 +154,14 @@ def _refined_slope(
 
 def _coarse_lag(t_s: FloatArray, y: FloatArray, reference: Sampler, lags_s: FloatArray) -> float | None:
     # A loop over lags: all of them at once would need lags x frames of memory, too much for hours of frames.
-    r = np.array([correlation(y, reference(t_s - lag_s)) for lag_s in lags_s])
-    if not np.any(r > 0):
+    return best_peak(lags_s, np.array([correlation(y, reference(t_s - lag_s)) for lag_s in lags_s]))
+
+
+def best_peak(lags_s: FloatArray, agreement: FloatArray) -> float | None:
+    """The lag of greatest agreement (L,), of peaks as good the one nearest zero; None where none stands out."""
+    if not np.any(agreement > 0):
         return None
-    r = np.where(np.isfinite(r), r, np.nanmin(r))
+    r = np.where(np.isfinite(agreement), agreement, np.nanmin(agreement))
     height = float(np.ptp(r))
     peaks = find_peaks(r, prominence=PEAK_PROMINENCE * height)[0]
     if not len(peaks):
@@ -173,10 +177,26 @@ def _sandwich(jacobian: FloatArray, residual: FloatArray) -> FloatArray | None:
     if n <= p or np.any(scale <= 0) or np.linalg.cond(jacobian / scale) > 1e8:
         return None
     scores = (jacobian / scale) * residual[:, None]
-    rho = float(np.clip(correlation(residual[1:], residual[:-1]), 0.0, MAX_CORRELATION)) if np.any(residual) else 0.0
-    middle = _long_run(scores[1:] - rho * scores[:-1]) / (1.0 - rho) ** 2
+    rho = ar1(residual)
+    middle = score_covariance(scores, rho)
     bread = np.asarray(np.linalg.inv((jacobian / scale).T @ (jacobian / scale)), dtype=np.float64)
     return bread @ middle @ bread * (n / (n - p)) / np.outer(scale, scale)
+
+
+def ar1(values: FloatArray) -> float:
+    """Correlation of neighbours in a series (N,), 0 to MAX_CORRELATION."""
+    if not np.any(values):
+        return 0.0
+    rho = correlation(values[1:], values[:-1])
+    return float(np.clip(rho, 0.0, MAX_CORRELATION)) if np.isfinite(rho) else 0.0
+
+
+def score_covariance(scores: FloatArray, rho: float) -> FloatArray:
+    """Covariance (P, P) of the sum of scores (N, P) that are correlated over time, by about `rho` with the next one.
+
+    Whitened as an AR(1), Bartlett kernel, recoloured: Andrews and Monahan 1992.
+    """
+    return _long_run(scores[1:] - rho * scores[:-1]) / (1.0 - rho) ** 2
 
 
 def _long_run(scores: FloatArray) -> FloatArray:

@@ -1,0 +1,107 @@
+"""How far corners are to be trusted: their covariances scaled to the residuals of a whole log, and what those hide.
+
+A marker's eight coordinates less the six of its pose leave two: residuals say how noisy corners are only over many
+markers, and say nothing of errors that look like another pose. Those (edges shifted by bloom, the lens model, the
+print) have a floor of their own. It is common to all pictures of a marker that doesn't move.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.special import gammaincinv
+
+from station.logs import FloatArray
+from station.perception.observations import CORNERS, IntArray, ObservationLog
+
+COORDINATES = 2 * CORNERS
+# Eight coordinates less the six parameters of a pose.
+RESIDUAL_DOF = COORDINATES - 6
+
+# Standard deviation of a corner coordinate by what no residual shows, on top of what the detector states. On rendered
+# pictures, whose lens model is exact, corners are off by 0.016-0.023 px where residuals tell 0.012-0.02 px; what it is
+# on a real camera isn't measured.
+UNSEEN_SIGMA_PX = 0.02
+# Corners of unknown covariance are never taken to be better than this.
+SMALLEST_SIGMA_PX = 0.05
+# The detector's word on its noise counts like the residuals of this many markers.
+PRIOR_MARKERS = 20
+# Pictures in which a marker's corners moved by less than this show the same errors.
+SAME_LOOK_PX = 0.5
+
+
+def chi2_quantile(probability: float, dof: int | IntArray) -> FloatArray:
+    """Quantile of the chi-squared distribution with `dof` degrees of freedom."""
+    return np.asarray(2.0 * gammaincinv(np.asarray(dof) / 2.0, probability), dtype=np.float64)
+
+
+def estimate_sigma_px(rms_px: FloatArray) -> float:
+    """Standard deviation of a corner coordinate from poses' RMS errors (N,), px; at least SMALLEST_SIGMA_PX.
+
+    Eight residuals less six parameters leave chi-squared of 2 degrees of freedom; its median bears half of the log bad.
+    """
+    squared = COORDINATES * rms_px[np.isfinite(rms_px)] ** 2
+    if not squared.size:
+        return SMALLEST_SIGMA_PX
+    return max(float(np.sqrt(_variance(squared))), SMALLEST_SIGMA_PX)
+
+
+def _variance(squared: FloatArray) -> float:
+    return float(np.median(squared) / chi2_quantile(0.5, RESIDUAL_DOF))
+
+
+def estimate_scale(rms_px: FloatArray, covariance_px2: FloatArray) -> float:
+    """Factor on stated covariances (N, 4, 2, 2) that the poses' RMS errors (N,) ask for; 1 where there are few."""
+    stated_px2 = _mean_variance(covariance_px2)
+    squared = COORDINATES * rms_px**2 / stated_px2
+    squared = squared[np.isfinite(squared)]
+    if not squared.size:
+        return 1.0
+    return (len(squared) * _variance(squared) + PRIOR_MARKERS) / (len(squared) + PRIOR_MARKERS)
+
+
+def _mean_variance(covariance_px2: FloatArray) -> FloatArray:
+    return 0.5 * np.trace(covariance_px2, axis1=-2, axis2=-1).mean(axis=-1)
+
+
+def total_covariance(observations: ObservationLog, sigma_px: float | None = None) -> FloatArray:
+    """Covariances (N, 4, 2, 2) px^2 of a log's corners, for estimation.
+
+    Those that the detector stated are scaled by one factor of the log and have UNSEEN_SIGMA_PX added. Where it stated
+    none, coordinates are independent with the standard deviation that the residuals of those markers show. A given
+    `sigma_px` replaces all.
+    """
+    if sigma_px is not None:
+        return np.broadcast_to(sigma_px**2 * np.eye(2), observations.corner_covariance_px2.shape)
+    stated = observations.corner_covariance_px2
+    known = np.all(np.isfinite(stated), axis=(1, 2, 3))
+    rms_px = observations.rms_px[:, 0]
+    total = np.empty(stated.shape)
+    total[~known] = estimate_sigma_px(rms_px[~known]) ** 2 * np.eye(2)
+    total[known] = estimate_scale(rms_px[known], stated[known]) * stated[known] + UNSEEN_SIGMA_PX**2 * np.eye(2)
+    return total
+
+
+def evidence_weights(observations: ObservationLog, covariance_px2: FloatArray) -> FloatArray:
+    """What each observation's squared errors count (N,), 1 at most, beside others that show the same unseen errors.
+
+    n pictures of a marker that stands still have noise of variance s / n in their mean, but the variance u of the
+    unseen errors stays: their squared errors, each over s + u, count (s + u) / (s + n u) of themselves.
+    """
+    variance_px2 = _mean_variance(covariance_px2)
+    unseen_px2 = min(UNSEEN_SIGMA_PX**2, 0.5 * float(variance_px2.min(initial=np.inf)))
+    return variance_px2 / (variance_px2 + (_looks(observations) - 1) * unseen_px2)
+
+
+def _looks(observations: ObservationLog) -> FloatArray:
+    """(N,) in how many sightings on end each marker's corners stay within SAME_LOOK_PX of the first of them."""
+    looks = np.ones(len(observations))
+    for marker in np.unique(observations.marker_id):  # a few markers
+        rows = np.flatnonzero(observations.marker_id == marker)
+        px = observations.corners_px[rows]
+        first = 0
+        while first < len(rows):
+            moved = np.abs(px[first:] - px[first]).max(axis=(1, 2)) > SAME_LOOK_PX
+            count = int(np.argmax(moved)) if moved.any() else len(moved)
+            looks[rows[first : first + count]] = count
+            first += count
+    return looks

@@ -1,0 +1,93 @@
+"""Corners of a rolling shutter moved to the time of their frame: each row of an image is exposed at its own time.
+
+A frame's time is that of its middle row; a corner at row v was seen (v / height - 1/2) times the readout later. Where
+it was at the frame's own time is interpolated along its own track in the image, through its places in the frames before
+and after, each at its own time. That needs no pose, so that wrong solutions can't spoil it, and keeps what speeds and
+accelerations do to a corner.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from station.logs import FloatArray
+from station.perception.observations import IntArray, ObservationLog
+
+BoolArray = NDArray[np.bool_]
+
+# A corner isn't interpolated over a longer time: a marker can turn back within it.
+LONGEST_GAP_S = 0.15
+
+
+def row_delay_s(v_px: FloatArray, height_px: int, readout_s: float) -> FloatArray:
+    """How much later than the middle row an image's rows (...) are seen."""
+    return (v_px / height_px - 0.5) * readout_s
+
+
+def at_frame_time(
+    observations: ObservationLog, covariance_px2: FloatArray, height_px: int, readout_s: float
+) -> tuple[ObservationLog, FloatArray]:
+    """Observations with their corners where they were at their frames' times, and the covariances that they then have.
+
+    A corner seen in the frames before and after (within LONGEST_GAP_S) is interpolated by a parabola; one that was seen
+    in one of them, by a line. One that was seen in neither stays where it is, with the variance of where it may have
+    moved to at the typical speed of all others. The poses in the result are those that came.
+
+    Args:
+        observations: corners as seen.
+        covariance_px2: (N, 4, 2, 2) of them.
+        height_px: rows of the image.
+        readout_s: from the first row to the last.
+    """
+    if not len(observations):
+        return observations, covariance_px2
+    px = observations.corners_px
+    seen_s = observations.t_s[observations.frame][:, None] + row_delay_s(px[..., 1], height_px, readout_s)
+    before, after = _neighbours(observations)
+    here = np.arange(len(px))
+    steps = [(before, seen_s[before] - seen_s), (after, seen_s[after] - seen_s)]
+    there = [(rows != here)[:, None] & (np.abs(step) <= LONGEST_GAP_S) for rows, step in steps]
+    delay = seen_s - observations.t_s[observations.frame][:, None]
+    weights = _weights(-delay, steps[0][1], steps[1][1], there[0], there[1])
+    places = (here, before, after)
+    moved = sum(w[..., None] * px[rows] for w, rows in zip(weights, places, strict=True))
+    grown = sum(w[..., None, None] ** 2 * covariance_px2[rows] for w, rows in zip(weights, places, strict=True))
+    alone = ~(there[0] | there[1])
+    grown = grown + np.where(alone, (_speed_px_s(px, steps, there) * delay) ** 2, 0.0)[..., None, None] * np.eye(2)
+    return replace(observations, corners_px=np.asarray(moved)), np.asarray(grown)
+
+
+def _neighbours(observations: ObservationLog) -> tuple[IntArray, IntArray]:
+    """(N,) rows of the same marker's sightings before and after; a row's own number where there is none."""
+    order = np.lexsort((observations.frame, observations.marker_id))
+    same = np.diff(observations.marker_id[order]) == 0
+    here = np.arange(len(order))
+    before, after = np.array(here), np.array(here)
+    after[order[:-1][same]] = order[1:][same]
+    before[order[1:][same]] = order[:-1][same]
+    return before, after
+
+
+def _weights(
+    at_s: FloatArray, before_s: FloatArray, after_s: FloatArray, has_before: BoolArray, has_after: BoolArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Lagrange's weights (N, 4) of the places seen at times 0, before and after, for the place at `at_s`."""
+    b, a = np.where(has_before, before_s, -1.0), np.where(has_after, after_s, 1.0)  # any time but 0
+    both = has_before & has_after
+    parabola_b, parabola_a = at_s * (at_s - a) / (b * (b - a)), at_s * (at_s - b) / (a * (a - b))
+    w_b = np.where(both, parabola_b, np.where(has_before, at_s / b, 0.0))
+    w_a = np.where(both, parabola_a, np.where(has_after, at_s / a, 0.0))
+    return 1.0 - w_b - w_a, w_b, w_a
+
+
+def _speed_px_s(px: FloatArray, steps: list[tuple[IntArray, FloatArray]], there: list[BoolArray]) -> float:
+    """RMS speed of a coordinate over all steps that are short enough; 0 where there is none."""
+    speeds = [
+        ((px[rows] - px) / np.where(known, step, 1.0)[..., None])[known]
+        for (rows, step), known in zip(steps, there, strict=True)
+    ]
+    each = np.concatenate([speed.ravel() for speed in speeds])
+    return float(np.sqrt(np.mean(each**2))) if each.size else 0.0
