@@ -21,6 +21,10 @@ from calibration.intrinsics import FloatArray
 Grey = NDArray[np.uint8]
 IntArray = NDArray[np.int64]
 
+# Candidates are rectified to so many pixels a cell (OpenCV: 4) and read without this share of each cell's rim (0.13):
+# small and blurred ones are read, too.
+READ_PX_PER_CELL = 8
+READ_RIM = 0.25
 # A board of which fewer markers agree with its description isn't found.
 LEAST_MARKERS = 3
 # Nor one that fewer than this share of what is read agrees with: a board of other columns agrees in parts.
@@ -158,6 +162,8 @@ def marker_detector(dictionary: str) -> cv2.aruco.ArucoDetector:
     """OpenCV's detector, as boards are looked for with it."""
     parameters = cv2.aruco.DetectorParameters()
     parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_NONE
+    parameters.perspectiveRemovePixelPerCell = READ_PX_PER_CELL
+    parameters.perspectiveRemoveIgnoredMarginPerCell = READ_RIM
     return cv2.aruco.ArucoDetector(load_dictionary(dictionary), parameters)
 
 

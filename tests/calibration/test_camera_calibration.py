@@ -134,9 +134,8 @@ def test_the_edge_shift_is_that_of_the_detector_on_true_corners(gamma: float):
     offsets = []
     for shot in done.shots:
         T = poses[int(Path(shot.name).stem)]
-        corners, fine = REFINE(shot.image, shot.view.marker_corners_px)
-        truth = projected(optics, T, BOARD.marker_points()[shot.view.marker_ids])
-        offsets.append(edge_offsets(corners[fine], truth[fine]).ravel())
+        ids, corners = REFINE(shot.image, shot.view.marker_ids, shot.view.marker_corners_px, done.camera)
+        offsets.append(edge_offsets(corners, projected(optics, T, BOARD.marker_points()[ids])).ravel())
     true_px = float(np.median(np.concatenate(offsets)))
     assert done.edge_shift is not None
     assert abs(done.edge_shift.shift_px - true_px) < 3 * done.edge_shift.std_px
