@@ -169,12 +169,13 @@ def calibrate_camera(
 
 def marker_refinement(board: CharucoBoard) -> RefineMarkers:
     """As the station's detector finds markers' corners, of which it then corrects the edge shift."""
-    from station.perception.edges import linear_light, refine_corners
+    from station.perception.marker_bits import behind_border, read_bits
+    from station.perception.refinement import refine_corners
 
     cells = int(load_dictionary(board.dictionary).markerSize) + 2
 
     def refine(grey: Image, corners_px: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
-        refined = refine_corners(linear_light(grey), corners_px, cells)
+        refined = refine_corners(grey, corners_px, behind_border(read_bits(grey, corners_px, cells)))
         return refined.corners_px, refined.good
 
     return refine

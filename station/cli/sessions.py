@@ -148,6 +148,15 @@ def fit(
     include_reference: Annotated[
         bool, typer.Option("--include-reference", help="Take the frame of the poses for a static part.")
     ] = False,
+    smooth: Annotated[
+        str | None,
+        typer.Option(
+            "--smooth",
+            help="Smooth the poses first: lowpass:HZ, kalman, or kalman:S (fills gaps up to S s). "
+            "It correlates their noise: stated deviations get too small.",
+            show_default=False,
+        ),
+    ] = None,
     force: Force = False,
     as_json: Json = False,
 ) -> None:
@@ -167,7 +176,7 @@ def fit(
         root=root,
         include_reference=include_reference,
     )
-    result = commands.fit(source, out, options=options, force=force)
+    result = commands.fit(source, out, options=options, smooth=smooth, force=force)
     if as_json:
         print((result.folder / TREE_FILE).read_text(encoding="utf-8"))
     else:

@@ -7,7 +7,7 @@ import pytest
 from calibration.intrinsics import CameraModel, FloatArray
 from station.errors import InvalidData
 from station.perception.corners import Detections, MarkerDetector
-from station.perception.edges import linear_light, refine_corners, shift_edges
+from station.perception.edges import shift_edges
 
 SIZE_M = 0.05
 CELLS = 6
@@ -92,13 +92,6 @@ def test_the_black_square_looks_neither_smaller_nor_larger(views: Callable, dete
     assert abs(np.mean(radial)) < 0.015  # px, along the diagonals; -0.9 px without refinement, 0.003 measured
 
 
-def test_linearising_removes_the_shift_of_the_edges(view: tuple[np.ndarray, FloatArray]) -> None:
-    image, truth = view
-    as_it_is = refine_corners(image.astype(np.float32) / 255, truth, CELLS).corners_px
-    linear = refine_corners(linear_light(image), truth, CELLS).corners_px
-    assert rms(as_it_is - truth) > 4 * rms(linear - truth)
-
-
 def test_colour_and_grey_images_give_the_same(view: tuple[np.ndarray, FloatArray], detector: MarkerDetector) -> None:
     image, _ = view
     grey, colour = detector.detect(image), detector.detect(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR))
@@ -126,20 +119,6 @@ def test_an_id_seen_twice_is_dropped(camera: CameraModel, render: Callable, pose
     T = np.stack([pose_facing(0.3, 0.0, 0.0, (x, 0.0, 0.6)) for x in (-0.15, 0.0, 0.15)])
     image = render([4, 5, 4], T, SIZE_M, camera, np.random.default_rng(0))
     assert detector.detect(image).ids.tolist() == [5]
-
-
-def test_faint_squares_are_no_markers(view: tuple[np.ndarray, FloatArray]) -> None:
-    image, truth = view
-    faint = np.clip(128 + 0.02 * (image.astype(float) - 128), 0, 255).astype(np.uint8)
-    assert not np.any(refine_corners(linear_light(faint), truth, CELLS).good)
-
-
-def test_refining_leaves_what_it_rejects_as_it_came(view: tuple[np.ndarray, FloatArray]) -> None:
-    image, truth = view
-    elsewhere = truth + 100.0
-    kept = refine_corners(linear_light(image), elsewhere, CELLS)
-    assert not np.any(kept.good)
-    np.testing.assert_array_equal(kept.corners_px, elsewhere)
 
 
 def test_shifted_edges_lie_that_far_out() -> None:
