@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import signal
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -107,6 +108,8 @@ def capture(
         raise typer.BadParameter("want a motion, or --hand" if not hand else "want a motion or --hand, not both")
     if duration_s is not None and not hand:
         raise typer.BadParameter("--duration-s goes with --hand; a motion lasts as long as it does")
+    if hand:
+        signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background job has it ignored
     settings: dict[str, Any] = {"seed": seed, "simulate": simulate, "realtime": realtime, "force": force}
     with saying_what_is_left(out), progress() as bar:
         bar.stage("by hand" if hand else "capture")
