@@ -37,7 +37,9 @@ def test_the_examples_of_rig_motion_and_camera_are_read():
 def test_the_readme_names_the_commands_that_there_are():
     readme = (ROOT / "README.md").read_text("utf-8")
     named = set(re.findall(r"^\| `station (\w+)", readme, re.MULTILINE))
-    assert named == {command.callback.__name__ for command in cli.app.registered_commands if command.callback}
+    groups = {group.typer_instance.info.name for group in cli.app.registered_groups if group.typer_instance}
+    commands = {command.callback.__name__ for command in cli.app.registered_commands if command.callback}
+    assert named == commands | groups
 
 
 def test_links_of_the_documents_lead_somewhere():
