@@ -12,16 +12,16 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from station.commands.exports import export
+    from station.commands.videos import track
     from station.compare import Comparison, compare
     from station.errors import StationError
-    from station.export_commands import export
     from station.fit import fit
     from station.fit.result import Fit
     from station.fit_files import read_fit, read_tree, write_fit
     from station.formats.camera_files import read_camera
     from station.formats.read import read_commands, read_pose_log
     from station.kinematics.tree import Joint, KinematicTree
-    from station.log_commands import track
     from station.logs import JointLog, PoseLog
 
 __all__ = [
@@ -53,13 +53,13 @@ _HOME = {
     "KinematicTree": "station.kinematics.tree",
     "PoseLog": "station.logs",
     "StationError": "station.errors",
-    "export": "station.export_commands",
+    "export": "station.commands.exports",
     "read_camera": "station.formats.camera_files",
     "read_commands": "station.formats.read",
     "read_fit": "station.fit_files",
     "read_pose_log": "station.formats.read",
     "read_tree": "station.fit_files",
-    "track": "station.log_commands",
+    "track": "station.commands.videos",
     "write_fit": "station.fit_files",
 }
 

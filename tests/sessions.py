@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from station import commands
 from station.capture import CaptureCounts
+from station.commands import capturing
 
 # Two joints move by enough to be found; two seconds and a half.
 SHORT = """
@@ -36,4 +36,4 @@ def write_motion(folder: Path, text: str = SHORT) -> str:
 def capture_short(folder: Path, *, seed: int = 0, rig: str = "demo") -> tuple[Path, CaptureCounts]:
     """A short session in `folder`/session, and its counts."""
     out = folder / "session"
-    return out, commands.capture(rig, write_motion(folder), out, seed=seed)
+    return out, capturing.capture(rig, write_motion(folder), out, seed=seed)

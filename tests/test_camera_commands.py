@@ -10,8 +10,8 @@ import pytest
 
 from calibration.boards import CharucoBoard
 from calibration.view_selection import WAYS, ViewSelector
-from station import camera_commands
 from station.cli.camera import wizard_lines
+from station.commands import cameras
 from station.formats.board import format_board
 from station.formats.camera import parse_camera
 from station.waved_board import OPTICS
@@ -112,9 +112,9 @@ def test_a_bad_set_is_exit_code_1_and_says_why(station, folder: Path, tmp_path: 
 
 
 def test_the_measured_length_is_kept_beside_the_views(images, folder: Path, tmp_path: Path):
-    board = camera_commands.require_measured(camera_commands.read_board(BOARD.spec, None), (99.0, 100.0))
-    done = camera_commands.calibrate_camera(str(folder), board, tmp_path / "camera")
-    kept = camera_commands.read_board(None, str(tmp_path / "camera" / "views"))
+    board = cameras.require_measured(cameras.read_board(BOARD.spec, None), (99.0, 100.0))
+    done = cameras.calibrate_camera(str(folder), board, tmp_path / "camera")
+    kept = cameras.read_board(None, str(tmp_path / "camera" / "views"))
     assert kept.measured and kept.board == BOARD.measured((99.0, 100.0))
     # A sheet that is drawn true and said to be 1 % narrow is a camera that sees 1 % more across.
     assert done.calibration.camera.matrix[0, 0] / done.calibration.camera.matrix[1, 1] != pytest.approx(
@@ -129,8 +129,8 @@ def test_views_are_chosen_from_a_video(images, tmp_path: Path):
         for _ in range(6):  # the board rests for 0.2 s
             video.write(image)
     video.release()
-    seen: list[camera_commands.Progress] = []
-    done = camera_commands.calibrate_camera(str(path), BOARD, tmp_path / "camera", on_look=seen.append)
+    seen: list[cameras.Progress] = []
+    done = cameras.calibrate_camera(str(path), BOARD, tmp_path / "camera", on_look=seen.append)
     assert COUNT - 2 <= len(done.calibration.shots) <= COUNT  # two of the poses are much alike
     assert len(seen) == 6 * COUNT
     assert seen[-1].frames == 6 * COUNT
@@ -141,16 +141,16 @@ def test_views_are_chosen_from_a_video(images, tmp_path: Path):
 def test_a_live_camera_is_watched_until_somebody_has_had_enough(tmp_path: Path):
     lines: list[list[str]] = []
 
-    def on_look(progress: camera_commands.Progress) -> None:
+    def on_look(progress: cameras.Progress) -> None:
         lines.append(wizard_lines(progress))
 
     def stop() -> bool:
         return sum(each[-1] == "TAKEN" for each in lines) >= 4
 
-    board = camera_commands.read_board(None, "rendered")
+    board = cameras.read_board(None, "rendered")
     assert board.measured
     out = tmp_path / "camera"
-    done = camera_commands.calibrate_camera("rendered", board.board, out, on_look=on_look, stop=stop)
+    done = cameras.calibrate_camera("rendered", board.board, out, on_look=on_look, stop=stop)
     assert [shot.name for shot in done.calibration.shots] == [path.name for path in sorted((out / "views").iterdir())]
     assert done.calibration.verdict.grade.word == "bad"  # of four views
     assert all(len(line) <= 80 for each in lines for line in each)
@@ -180,7 +180,7 @@ def test_a_board_file_with_its_rulers_measured_needs_no_option(station, folder: 
         image.unlink()
     code, out, _ = station("calibrate", "camera", folder, "--board", path, "--out", tmp_path / "c", "--json")
     assert code in (0, 1) and json.loads(out)["views_used"] == 8
-    assert isinstance(camera_commands.read_board(str(path), None).board, CharucoBoard)
+    assert isinstance(cameras.read_board(str(path), None).board, CharucoBoard)
 
 
 def test_a_blurred_view_is_not_taken_after_a_sharp_one(images):

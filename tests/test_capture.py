@@ -15,8 +15,8 @@ import pytest
 
 from drivers.camera import Frame
 from drivers.errors import ArmFault, BusLost, CameraStalled
-from station import commands
 from station.capture import Capture, CaptureCounts
+from station.commands import capturing, planning
 from station.errors import LimitExceeded, OutputExists
 from station.recording import Recording
 from station.rig import Rig, load_rig, open_rig
@@ -41,7 +41,7 @@ def test_a_session_is_complete_and_its_counts_are_those_of_the_recording(short: 
 
 def test_each_step_of_the_packaged_motion_sets_its_own_speed(tmp_path: Path):
     """Starts of steps fall between nanoseconds; none may be taken for the step before it."""
-    planned_demo = commands.plan("demo", "demo")
+    planned_demo = planning.plan("demo", "demo")
     rounded = np.round(planned_demo.command_times_s() * 1e9) * 1e-9
     assert np.any(rounded < planned_demo.command_times_s())  # or this shows nothing
     writer = Writer()
@@ -86,13 +86,13 @@ def test_frames_are_timed_evenly_and_stamped_at_arrival(short: tuple[Path, Captu
 def test_nothing_is_made_when_the_motion_leaves_the_limits_or_the_folder_is_taken(tmp_path: Path):
     far = write_motion(tmp_path, SHORT.replace("base_pan = 30", "base_pan = 130"))
     with pytest.raises(LimitExceeded, match=r"base_pan would go to 130\.0 deg"):
-        commands.capture("demo", far, tmp_path / "far")
+        capturing.capture("demo", far, tmp_path / "far")
     assert not (tmp_path / "far").exists()
     taken = tmp_path / "taken"
     taken.mkdir()
     (taken / "notes.txt").write_text("mine", encoding="utf-8")
     with pytest.raises(OutputExists, match=r"taken exists and isn't empty"):
-        commands.capture("demo", write_motion(tmp_path), taken)
+        capturing.capture("demo", write_motion(tmp_path), taken)
     assert [path.name for path in taken.iterdir()] == ["notes.txt"]
 
 
@@ -125,7 +125,7 @@ def demo_rig() -> Iterator[Rig]:
 
 
 def planned(tmp_path: Path):
-    return commands.plan("demo", write_motion(tmp_path))
+    return planning.plan("demo", write_motion(tmp_path))
 
 
 class NoFrames:

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from station import commands
+from station.commands import reporting, sessions
 from station.fit_files import read_fit
 from station.recording import Recording
 from tests.benchmarks.demo_seeds import JOINTS, rmse_deg, structure_right
@@ -16,7 +16,7 @@ from tests.benchmarks.demo_seeds import JOINTS, rmse_deg, structure_right
 @pytest.fixture(scope="module")
 def demo(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("demo") / "demo"
-    commands.run("demo", "demo", out, seed=0)
+    sessions.run("demo", "demo", out, seed=0)
     return out
 
 
@@ -26,7 +26,7 @@ def test_the_demo_finds_the_arm(demo: Path):
 
 def test_detected_angles_agree_with_the_read_back(demo: Path):
     """Half a degree for the base and one for the others is promised; a servo's count alone is 0.085 deg RMS."""
-    rmse = rmse_deg(commands.compare(demo))
+    rmse = rmse_deg(reporting.compare(demo))
     assert set(rmse) == set(JOINTS)
     assert rmse["base_pan"] <= 0.5 and max(rmse.values()) <= 1.0
 
@@ -40,7 +40,7 @@ def test_the_base_turns_to_80_degrees_and_is_seen_there(demo: Path):
 
 def test_the_second_packaged_rig_works_over_protocol_2(tmp_path: Path):
     """Four XM430 on protocol 2.0, streamed commands."""
-    comparison = commands.run("openmanipulator_x", "openmanipulator_x", tmp_path / "x")
+    comparison = sessions.run("openmanipulator_x", "openmanipulator_x", tmp_path / "x")
     rmse = rmse_deg(comparison)
     assert set(rmse) == {"joint1", "joint2", "joint3", "joint4"} and max(rmse.values()) <= 1.0
     assert {joint.type for joint in comparison.joints} == {"revolute"}

@@ -139,7 +139,7 @@ def test_bad_input_is_said_and_nothing_is_started(arguments: tuple[str, ...], sa
 
 def test_neither_opencv_nor_the_viewer_is_loaded(tmp_path: Path) -> None:
     code = (
-        "import sys\nfrom station.bus_commands import emulate\n"
+        "import sys\nfrom station.commands.bus import emulate\n"
         "with emulate('demo') as arm:\n    assert arm.path\n"
         "print([name for name in ('cv2', 'rerun', 'matplotlib', 'serial', 'dynamixel_sdk') if name in sys.modules])"
     )

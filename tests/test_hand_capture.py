@@ -17,7 +17,7 @@ from drivers.camera import Camera
 from drivers.clock import VirtualClock
 from drivers.dynamixel import DynamixelBus
 from drivers.errors import SafetyStop
-from station import commands
+from station.commands import capturing
 from station.emulated_arm import EmulatedArm
 from station.errors import InvalidData
 from station.formats.rig import parse_rig
@@ -265,5 +265,5 @@ def test_capture_by_hand_leaves_nothing_where_it_may_not_let_go(tmp_path: Path, 
 
     monkeypatch.setattr(Arm, "holding", lambda self: ("elbow",))
     with pytest.raises(InvalidData, match="stopped"):
-        commands.capture_by_hand("demo", tmp_path / "out", ask=refuse, duration_s=1.0)
+        capturing.capture_by_hand("demo", tmp_path / "out", ask=refuse, duration_s=1.0)
     assert not (tmp_path / "out").exists()

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from station import commands
+from station.commands import fitting
 from station.fit.learner import learn
 from station.formats.camera import format_camera
 from station.formats.markers import format_markers
@@ -106,8 +106,8 @@ def recorded(folder: Path, observations: ObservationLog) -> Path:
 
 def test_fitting_a_session_says_how_many_poses_its_tree_turned_over(tmp_path: Path) -> None:
     session = recorded(tmp_path / "lid", watch(swinging_lid(), TABLE, sigma_px=0.3))
-    result = commands.fit(session)
+    result = fitting.fit(session)
     assert any("were turned over to agree with the tree" in notice for notice in result.notices)
     assert [joint.type for joint in result.fit.tree.joints] == ["revolute"]
     sure = recorded(tmp_path / "sure", watch(swinging_lid(40.0), TABLE, sigma_px=0.1))
-    assert not commands.fit(sure).notices
+    assert not fitting.fit(sure).notices

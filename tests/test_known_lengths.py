@@ -9,8 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from station import commands
+from station.commands import capturing, fitting
 from station.compare import compare
+from station.fit_files import read_fit
 from station.known_lengths import axis_distances, prismatic_travels
 from station.logs import JointLog
 from tests.sessions import write_motion
@@ -41,8 +42,8 @@ hold_s = 0.2
 def fitted(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     folder = tmp_path_factory.mktemp("scale")
     out = folder / "session"
-    commands.capture("demo", write_motion(folder, BOTH), out)
-    commands.fit(out)
+    capturing.capture("demo", write_motion(folder, BOTH), out)
+    fitting.fit(out)
     yield out
 
 
@@ -55,7 +56,7 @@ def test_the_distance_of_shoulder_and_elbow_tells_the_markers_scale(station, fit
     code, out, err = station("calibrate", "scale", fitted, "--axis-distance", "elbow,shoulder=137.2")
     assert code == 1 and "size_mm seems too large, by a factor of 1.02" in out
     # pan and shoulder cross at right angles: no distance, but the order and the body don't matter
-    tree = commands.read_fit(fitted / "fit").tree
+    tree = read_fit(fitted / "fit").tree
     (pan,) = axis_distances(tree, {("shoulder", "base_pan"): 0.001})
     assert pan.ratio < 5
 

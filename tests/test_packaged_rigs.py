@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from station import commands
+from station.commands import capturing, fitting, planning, reporting
 from station.compare import Comparison
 from station.motion import Plan
 from station.rig import load_rig
@@ -25,7 +25,7 @@ def test_every_rig_has_a_motion_of_its_name():
 
 @pytest.mark.parametrize("name", NAMES)
 def test_a_packaged_motion_moves_each_joint_alone_and_ends_where_it_began(name: str):
-    planned = commands.plan(name, name)
+    planned = planning.plan(name, name)
     moved = [np.flatnonzero(leg.q_from != leg.q_to) for leg in planned.segments]
     alone = {planned.joints[joints[0]].name for joints in moved if len(joints) == 1}
     ever = {planned.joints[j].name for joints in moved for j in joints}
@@ -60,7 +60,7 @@ def piece(name: str, folder: Path) -> tuple[Path, Path, set[str]]:
     """The rig with a slower camera, and a motion of two of its joints, one after the other."""
     rig = packaged("rigs", name).read_text(encoding="utf-8").replace("fps = 30", "fps = 15")
     (folder / "rig.toml").write_text(rig.replace("blur_instants = 2", "blur_instants = 1"), encoding="utf-8")
-    planned = commands.plan(name, name)
+    planned = planning.plan(name, name)
     parked = {joint.name: float(np.degrees(joint.park)) for joint in planned.joints}
     moves = [(joint, to) for joint, there in two_joints(name, planned).items() for to in (there, parked[joint])]
     steps = "".join(f"[[step]]\nmove = {{ {j} = {to:.3f} }}\nspeed_deg_s = 40\nhold_s = 0.2\n" for j, to in moves)
@@ -75,9 +75,9 @@ def compared(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFa
     folder = tmp_path_factory.mktemp(request.param)
     rig, motion, moved = piece(request.param, folder)
     out = folder / "session"
-    commands.capture(str(rig), str(motion), out)
-    commands.fit(out)
-    return commands.compare(out), moved
+    capturing.capture(str(rig), str(motion), out)
+    fitting.fit(out)
+    return reporting.compare(out), moved
 
 
 def test_a_packaged_rig_finds_the_joints_that_a_piece_of_its_motion_moves(compared: tuple[Comparison, set[str]]):

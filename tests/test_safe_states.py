@@ -16,8 +16,8 @@ from drivers.camera import Camera
 from drivers.clock import VirtualClock
 from drivers.dynamixel import DynamixelBus
 from drivers.errors import BusLost, DriverError, SafetyStop, ServoFault
-from station import commands
 from station.capture import Capture
+from station.commands import planning
 from station.emulated_arm import EmulatedArm
 from station.formats.rig import parse_rig
 from station.rig import Rig, load_rig, safety_limits
@@ -82,7 +82,7 @@ class Lab:
 
     def capture(self) -> None:
         """Run the motion; raises what ends it."""
-        Capture(self.rig, commands.plan(*self.files), cast(Any, self.writer)).run()
+        Capture(self.rig, planning.plan(*self.files), cast(Any, self.writer)).run()
 
     def each(self, register: str) -> list[int]:
         """A register of all servos."""

@@ -13,7 +13,7 @@ from station.cli.options import Force, Json, Realtime, RigArgument, Seed, Sessio
 from station.cli.show import asking, progress, say_next, table, warn
 
 if TYPE_CHECKING:
-    from station.arm_calibration import CameraLatency, ServoZeros
+    from station.commands.arms import CameraLatency, ServoZeros
 
 Write = Annotated[bool, typer.Option("--write", help="Write the result into the rig; the old file is kept beside it.")]
 
@@ -44,7 +44,7 @@ def latency(
     Of a rig: the arm MOVES. Each joint swings by up to 15 degrees to either side of the park pose, one after the other,
     within all limits. Needs markers on what moves.
     """
-    from station import arm_calibration
+    from station.commands import arms
     from station.errors import InvalidData
     from station.session import RECORDING_FILE
 
@@ -55,11 +55,11 @@ def latency(
     if not of_rig and write:
         raise InvalidData("a session doesn't know where its rig's file is: put the line into it by hand")
     if write:
-        arm_calibration.check_writable(source)
+        arms.check_writable(source)
     with progress() as bar:
         if of_rig and out is not None:
             bar.stage("swing")
-            arm_calibration.capture_swings(
+            arms.capture_swings(
                 source,
                 out,
                 joints=joint or [],
@@ -71,13 +71,13 @@ def latency(
             )
             session = out
         bar.stage("latency")
-        result = arm_calibration.latency_of(session)
+        result = arms.latency_of(session)
     if as_json:
         print(json.dumps(_latency_document(result), allow_nan=False))
     else:
         _show_latency(result)
     if write:
-        kept = arm_calibration.write_into_rig(source, {("camera", "latency_s"): result.value_s})
+        kept = arms.write_into_rig(source, {("camera", "latency_s"): result.value_s})
         say_next(f"written into {source}; the old file is {kept}")
     elif not result.agrees:
         say_next(f"put this line under [camera]{f' in {source}' if of_rig else ' in the rig'}:", f"  {result.line}")
@@ -128,13 +128,13 @@ def servos(
     Torque goes OFF and stays off: an arm that was held DROPS. You are asked before, and again when the arm is in its
     pose. Exit code 1 if a zero can't be used.
     """
-    from station import arm_calibration
+    from station.commands import arms
     from station.errors import StationError
 
     given = _pose(pose or [])
     if write:
-        arm_calibration.check_writable(rig)
-    result = arm_calibration.servo_zeros(rig, pose=given, ask=asking(yes), simulate=simulate)
+        arms.check_writable(rig)
+    result = arms.servo_zeros(rig, pose=given, ask=asking(yes), simulate=simulate)
     if as_json:
         print(json.dumps(_zeros_document(result), allow_nan=False))
     else:
@@ -144,7 +144,7 @@ def servos(
     if result.problems:
         raise StationError("\n".join(["these zeros can't be used", *result.problems]))
     if write:
-        say_next(f"written into {rig}; the old file is {arm_calibration.write_into_rig(rig, result.values)}")
+        say_next(f"written into {rig}; the old file is {arms.write_into_rig(rig, result.values)}")
     else:
         lines = (f"  zero = {zero.zero:<6} # servo {zero.servo_id}, {zero.joint}" for zero in result.zeros)
         say_next(f"put these into each [[joint.servo]] of {rig}, or use --write:", *lines)
@@ -166,9 +166,9 @@ def scale(
     Of a fitted session: travels of prismatic joints against their read-back, and distances of axes that you know.
     Angles don't tell a size. Exit code 1 if the lengths are off by more than 0.5 % and three standard deviations.
     """
-    from station import arm_calibration
+    from station.commands import arms
 
-    result = arm_calibration.scale_of(session, _distances(axis_distance or []))
+    result = arms.scale_of(session, _distances(axis_distance or []))
     if as_json:
         lengths = [{"what": each.what, "ratio": each.ratio, "std": each.std} for each in result.lengths]
         document = {"ratio": result.ratio, "std": result.std, "off": result.off, "verdict": result.verdict}

@@ -15,7 +15,7 @@ from station.cli.show import say_next
 
 if TYPE_CHECKING:
     from calibration.boards import CharucoBoard, MarkerSheet
-    from station.board_commands import PrintedSheet
+    from station.commands.boards import PrintedSheet
 
 
 class Sheet(StrEnum):
@@ -66,7 +66,7 @@ def board(
 
     A ruler of 100 mm is printed with it: its measured length says what the printer made of it.
     """
-    from station import board_commands
+    from station.commands import boards
 
     if kind is Sheet.charuco:
         if rig or ids:
@@ -75,12 +75,12 @@ def board(
     elif rig:
         if ids or dictionary:
             raise typer.BadParameter("--rig has its own ids and dictionary: leave out --ids and --dictionary")
-        sheet = board_commands.rig_sheet(rig)
+        sheet = boards.rig_sheet(rig)
     elif ids:
-        sheet = board_commands.id_sheet(dictionary or MARKER_DICTIONARY, ids, size_mm)
+        sheet = boards.id_sheet(dictionary or MARKER_DICTIONARY, ids, size_mm)
     else:
         raise typer.BadParameter("markers: want --rig RIG or --ids, such as --ids 0-9")
-    _show_sheet(board_commands.board(sheet, out, paper=paper.value, force=force), sheet, as_json)
+    _show_sheet(boards.board(sheet, out, paper=paper.value, force=force), sheet, as_json)
 
 
 def _board(

@@ -45,7 +45,7 @@ def scan(
     Nothing is written to a servo. Exit code 1 if nothing is found, or a servo isn't there as the rig says.
     """
     from drivers.scan import Event, Found, Skipped, Step
-    from station import bus_commands
+    from station.commands import bus
 
     count = 0
     with progress() as bar:
@@ -61,7 +61,7 @@ def scan(
             elif isinstance(event, Found):
                 count += 1
 
-        done = bus_commands.scan(port, bauds=baud or [], protocols=protocol or [], ids=ids, rig=rig, on_event=on_event)
+        done = bus.scan(port, bauds=baud or [], protocols=protocol or [], ids=ids, rig=rig, on_event=on_event)
     _show_scan(done.path, done.matches, rig is not None, as_json, narrowed=done.narrowed)
     if not done.complete:
         raise KeyboardInterrupt
@@ -101,11 +101,11 @@ def doctor(
 
     Nothing moves, and nothing is written but what --fix names. Exit code 1 if anything blocks a capture.
     """
-    from station import bus_commands
+    from station.commands import bus
     from station.doctor.finding import Verdict, mends, summary_rows
 
     with progress() as bar:
-        checkup = bus_commands.doctor(rig, simulate=simulate, fixes=fix or [], say=bar.stage)
+        checkup = bus.doctor(rig, simulate=simulate, fixes=fix or [], say=bar.stage)
     if as_json:
         print(json.dumps(checkup.as_dict(), allow_nan=False))
     else:
@@ -134,11 +134,11 @@ def emulate(
 
     The first line of standard output is the device's path. Runs until it is stopped with Ctrl-C or SIGTERM.
     """
-    from station import bus_commands
+    from station.commands import bus
 
     signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background job has it ignored
     specs = [spec for group in faults or [] for spec in group.split()]
-    with bus_commands.emulate(rig, faults=specs, link=link, seed=seed) as arm:
+    with bus.emulate(rig, faults=specs, link=link, seed=seed) as arm:
         print(arm.path, flush=True)
         say_next(f"{rig}: {arm.summary()}; stop it with Ctrl-C")
         arm.wait()

@@ -21,7 +21,7 @@ from station.cli.show import say_next, table, warn
 if TYPE_CHECKING:
     from calibration.camera_calibration import CameraCalibration
     from calibration.view_selection import ViewSelector
-    from station.camera_commands import Calibrated, Progress
+    from station.commands.cameras import Calibrated, Progress
 
 TAKEN = "TAKEN"
 COLUMNS = 80
@@ -65,15 +65,15 @@ def camera(
     Live, it takes a view whenever the board is still, sharp and somewhere new, and says which to show next; Enter ends
     it early. Writes camera.toml, calibration.json, coverage.png and the views. Exit code 1 if the calibration is bad.
     """
-    from station import camera_commands
+    from station.commands import cameras
 
-    found = camera_commands.read_board(board, source)
+    found = cameras.read_board(board, source)
     if measured_mm is None and not found.measured and sys.stdin.isatty():
         measured_mm = _ask_ruler()
-    ruler = None if measured_mm is None else camera_commands.parse_ruler(measured_mm)
-    printed, size_px = camera_commands.require_measured(found, ruler), _size(size)
+    ruler = None if measured_mm is None else cameras.parse_ruler(measured_mm)
+    printed, size_px = cameras.require_measured(found, ruler), _size(size)
     with _saying_what_is_left(out), _wizard() as wizard:
-        done = camera_commands.calibrate_camera(
+        done = cameras.calibrate_camera(
             source, printed, out, rig=rig, size_px=size_px, fps=fps, force=force,
             on_look=wizard.show, stop=wizard.wants_end, say=wizard.stage,
         )  # fmt: skip

@@ -45,11 +45,11 @@ def track(
 
     Then: station fit DIR, station view DIR, station report DIR. Frames without a stamp are left out.
     """
-    from station import log_commands
+    from station.commands import videos
 
     with saying_what_is_left(out), progress() as bar:
         bar.stage("track")
-        tracked = log_commands.track(
+        tracked = videos.track(
             video,
             camera=camera,
             markers=markers,
@@ -115,9 +115,9 @@ def export(
     A session becomes poses.csv, TUM files (one a part), Parquet or MCAP; a fit becomes URDF; a calibration becomes
     OpenCV's or ROS's.
     """
-    from station import export_commands
+    from station.commands import exports
 
-    written = export_commands.export(source, out, what=what or (), format=format_, force=force)
+    written = exports.export(source, out, what=what or (), format=format_, force=force)
     if as_json:
         print(json.dumps({"files": [str(path) for path in written]}))
     else:

@@ -63,10 +63,10 @@ def run(
 
 
 def _run(rig: str, motion: str, out: Path, as_json: bool, **settings: Any) -> None:
-    from station import commands
+    from station.commands import sessions
 
     with saying_what_is_left(out), progress() as bar:
-        comparison = commands.run(rig, motion, out, stage=bar.stage, progress=bar.update, **settings)
+        comparison = sessions.run(rig, motion, out, stage=bar.stage, progress=bar.update, **settings)
     _show_comparison(comparison, as_json)
     say_next(
         f"Figure 7      {out / 'report' / 'figure7.png'}",
@@ -102,7 +102,7 @@ def capture(
     With --hand torque goes off and stays off: an arm that was held DROPS, and you are asked before. The rig needs no
     servos then. Ctrl-C is the normal end.
     """
-    from station import commands
+    from station.commands import capturing
 
     if hand == (motion is not None):
         raise typer.BadParameter("want a motion, or --hand" if not hand else "want a motion or --hand, not both")
@@ -115,9 +115,9 @@ def capture(
         bar.stage("by hand" if hand else "capture")
         settings["progress"] = bar.update
         if motion is None:
-            counts = commands.capture_by_hand(rig, out, ask=asking(yes), duration_s=duration_s, **settings)
+            counts = capturing.capture_by_hand(rig, out, ask=asking(yes), duration_s=duration_s, **settings)
         else:
-            counts = commands.capture(rig, motion, out, **settings)
+            counts = capturing.capture(rig, motion, out, **settings)
     if as_json:
         print(json.dumps(counts.as_dict()))
     else:
@@ -165,7 +165,7 @@ def fit(
     Reads a session folder, a recording.rrd, poses.csv, TUM files, plain tracks (x y z qx qy qz qw) and the ArUco
     library's old rows. Writes kinematics.json, joint_states.csv, kinematics.urdf and a drawing.
     """
-    from station import commands
+    from station.commands import fitting
     from station.fit.options import FitOptions
     from station.fit_files import TREE_FILE
 
@@ -176,7 +176,7 @@ def fit(
         root=root,
         include_reference=include_reference,
     )
-    result = commands.fit(source, out, options=options, smooth=smooth, force=force)
+    result = fitting.fit(source, out, options=options, smooth=smooth, force=force)
     if as_json:
         print((result.folder / TREE_FILE).read_text(encoding="utf-8"))
     else:
@@ -193,9 +193,9 @@ def compare(session: SessionArgument, commands_csv: Commands = None, as_json: Js
     Errors are after one sign and one offset a joint; lag and gain are estimated and shown beside. Writes
     comparison.csv and comparison.json into the session's report/.
     """
-    from station import commands
+    from station.commands import reporting
 
-    _show_comparison(commands.compare(session, commands=commands_csv), as_json)
+    _show_comparison(reporting.compare(session, commands=commands_csv), as_json)
 
 
 @app.command()
@@ -204,12 +204,12 @@ def report(session: SessionArgument, commands_csv: Commands = None, as_json: Jso
 
     Without commands, as for a video: the tree, the joints' states, when the parts were seen.
     """
-    from station import commands
+    from station.commands import reporting
     from station.compare import Comparison
     from station.fit_files import read_fit
     from station.session import FIT_FOLDER
 
-    comparison = commands.report(session, commands=commands_csv)
+    comparison = reporting.report(session, commands=commands_csv)
     if comparison is not None or as_json:
         _show_comparison(comparison or Comparison(()), as_json)
     else:
@@ -220,9 +220,9 @@ def report(session: SessionArgument, commands_csv: Commands = None, as_json: Jso
 @app.command()
 def view(session: SessionArgument) -> None:
     """Open a session in the rerun viewer."""
-    from station import commands
+    from station.commands import sessions
 
-    commands.view(session)
+    sessions.view(session)
 
 
 @app.command()
@@ -231,12 +231,12 @@ def plan(rig: RigArgument, motion: MotionArgument, as_json: Json = False) -> Non
 
     Prints what will be commanded when.
     """
-    from station import commands
+    from station.commands import planning
 
-    planned = commands.plan(rig, motion)
-    rows = commands.plan_rows(planned)
+    planned = planning.plan(rig, motion)
+    rows = planning.plan_rows(planned)
     if as_json:
-        print(json.dumps(commands.plan_document(planned), allow_nan=False))
+        print(json.dumps(planning.plan_document(planned), allow_nan=False))
         return
     table(f"motion '{planned.motion.name}' on {rig}: {planned.duration_s:.1f} s, within all limits", rows)
 

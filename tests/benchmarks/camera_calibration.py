@@ -17,7 +17,7 @@ from calibration.camera_calibration import calibrate_camera
 from calibration.camera_fit import PARAMETERS, parameters_of
 from calibration.errors import CalibrationError
 from calibration.wrong_board import explain_missing
-from station.camera_commands import marker_refinement
+from station.commands.cameras import marker_refinement
 from tests.benchmarks.arguments import each, parser, trials_of
 from tests.board_sets import (
     BAD_SETS,

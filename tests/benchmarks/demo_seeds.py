@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from station import commands
+from station.commands import sessions
 from station.compare import Comparison
 from station.fit_files import read_fit
 from station.kinematics.tree import KinematicTree
@@ -45,7 +45,7 @@ def run_seed(seed: int) -> tuple[int, bool, dict[str, float], float]:
     start_s = time.perf_counter()
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "demo"
-        comparison = commands.run("demo", "demo", out, seed=seed)
+        comparison = sessions.run("demo", "demo", out, seed=seed)
         tree = read_fit(out / "fit").tree
     return seed, structure_right(tree), rmse_deg(comparison), time.perf_counter() - start_s
 

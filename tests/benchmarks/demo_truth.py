@@ -12,7 +12,7 @@ from unittest import mock
 
 import numpy as np
 
-from station import commands
+from station.commands import fitting, sessions
 from station.emulated_arm import EmulatedArm
 from station.fit_files import read_fit
 from station.kinematics import se3
@@ -31,7 +31,7 @@ def capture_with_truth(out: Path, seed: int) -> tuple[np.ndarray, np.ndarray]:
         return asked[t_ns]
 
     with mock.patch.object(EmulatedArm, "joint_states", joint_states):
-        commands.run("demo", "demo", out, seed=seed)
+        sessions.run("demo", "demo", out, seed=seed)
     t_ns = np.array(sorted(asked))
     return t_ns * 1e-9, np.stack([asked[t] for t in t_ns])
 
@@ -52,7 +52,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "demo"
         t_true_s, q_true = capture_with_truth(out, seed)
-        session = commands.load_session(out)
+        session = fitting.load_session(out)
         fitted = read_fit(out / "fit")
         tree, states = fitted.tree, fitted.states
     start_s = session.recording.start_ns * 1e-9

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from station.arm_calibration import capture_swings, latency_of
+from station.commands.arms import capture_swings, latency_of
 from station.formats.toml_edit import set_numbers
 from station.rig_reading import packaged, read_rig
 

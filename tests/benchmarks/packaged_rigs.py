@@ -12,7 +12,7 @@ from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
-from station import commands
+from station.commands import sessions
 from station.fit_files import read_fit
 from station.formats.rig import RigTable
 from station.kinematics.tree import KinematicTree
@@ -59,7 +59,7 @@ def run_rig(job: tuple[str, int]) -> RigRun:
     start_s = time.perf_counter()
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / rig
-        comparison = commands.run(rig, rig, out, seed=seed)
+        comparison = sessions.run(rig, rig, out, seed=seed)
         tree = read_fit(out / "fit").tree
     right = arm_found(tree, load_rig(rig).table)
     return RigRun(rig, seed, right, rmse_deg(comparison), time.perf_counter() - start_s)

@@ -15,7 +15,7 @@ from calibration.errors import CalibrationError
 from calibration.verdict import Grade
 from calibration.wrong_board import edge_spread_px, explain_missing
 from station.calibration_files import write_calibration
-from station.camera_commands import marker_refinement
+from station.commands.cameras import marker_refinement
 from station.formats.camera import parse_camera
 from station.simulate.scene import CameraOptics
 from tests.board_sets import (

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from station import log_commands
-from station.commands import load_session
+from station.commands import videos
+from station.commands.fitting import load_session
 from station.kinematics import se3
 from station.logs import FloatArray
 from station.recording import Recording
@@ -118,7 +118,7 @@ def test_what_is_told_is_right_and_the_rest_is_a_gap(
     case, frames = filmed
     video = write_video(tmp_path / f"v{ending}", frames)
     camera, markers = write_camera(tmp_path), write_markers(tmp_path, case.scene.table)
-    tracked = log_commands.track(video, camera=camera, markers=markers, fps=FPS, out=tmp_path / "s")
+    tracked = videos.track(video, camera=camera, markers=markers, fps=FPS, out=tmp_path / "s")
     poses = load_session(tmp_path / "s").poses
     seen = poses.seen[:, 0]
     assert case.least <= seen.sum() <= case.most
@@ -142,6 +142,6 @@ def test_no_other_marker_is_made_of_half_a_one(filmed: tuple[Case, list[np.ndarr
     every = "".join(f'\n[[marker]]\nid = {n}\npart = "p{n}"\nsize_mm = {1e3 * SIZE_M}\n' for n in range(50))
     markers = tmp_path / "all.toml"
     markers.write_text(f'schema = "markers/1"\ndictionary = "{case.scene.table.dictionary}"\n{every}', "utf-8")
-    tracked = log_commands.track(video, camera=write_camera(tmp_path), markers=markers, out=tmp_path / "s")
+    tracked = videos.track(video, camera=write_camera(tmp_path), markers=markers, out=tmp_path / "s")
     assert {row.marker_id for row in tracked.markers if row.seen} == {4}
     assert set(Recording.load(tmp_path / "s").observations.marker_id.tolist()) == {4}

@@ -18,7 +18,7 @@ import cv2
 import numpy as np
 import pytest
 
-from station.commands import load_session
+from station.commands.fitting import load_session
 from station.errors import InvalidFile
 from station.formats.camera import format_camera
 from station.formats.camera_files import format_camera_opencv, format_camera_ros

@@ -11,7 +11,7 @@ from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from station.commands import is_session, load_session
+from station.commands.fitting import is_session, load_session
 from station.errors import InvalidData, InvalidFile, OutputExists, StationError
 from station.fit_files import TREE_FILE, read_fit, read_tree
 from station.formats.camera import parse_camera

@@ -11,7 +11,8 @@ import numpy as np
 from calibration.latency import Latency, estimate_latency
 from calibration.scale import Scale, combine_lengths
 from calibration.servo_zeros import ServoZero, find_zeros
-from station.commands import joint_types, record_motion
+from station.commands.capturing import record_motion
+from station.commands.fitting import joint_types
 from station.compare import compare as compare_logs
 from station.errors import InvalidData, StationError
 from station.fit_files import read_fit

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from calibration.intrinsics import CameraModel
-from station.commands import versions
+from station.commands.capturing import versions
 from station.errors import InvalidFile
 from station.formats.camera import format_camera
 from station.formats.camera_files import read_camera

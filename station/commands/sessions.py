@@ -1,0 +1,36 @@
+"""A whole session: captured, fitted, compared, reported; and the viewer on one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from station.commands.capturing import capture
+from station.commands.fitting import fit
+from station.commands.reporting import report_compared
+from station.compare import Comparison
+
+if TYPE_CHECKING:
+    pass
+
+
+def run(
+    rig: str, motion: str, out: Path, *, stage: Callable[[str], None] | None = None, **settings: object
+) -> Comparison:
+    """Capture, fit, compare and report: all of a session; settings as for `capture`; raises what each of them does."""
+    say = stage or (lambda name: None)
+    say("capture")
+    capture(rig, motion, out, **settings)  # type: ignore[arg-type]
+    say("fit")
+    fit(out)
+    say("report")
+    return report_compared(out, None)
+
+
+def view(session: Path) -> None:
+    """Open a session, with its fit if there is one, in the rerun viewer until it is closed; raises StationError."""
+    from station.view import open_viewer
+
+    with open_viewer(session) as viewer:
+        viewer.wait()
