@@ -83,7 +83,7 @@ class MjpegStream:
         self._thread.start()
         try:
             first, self.size_px = self._take_first()
-        except CameraError:
+        except BaseException:
             self.release()
             raise
         self._first: Taken | None = first
@@ -124,7 +124,7 @@ class MjpegStream:
                 splitter = PartSplitter(self._boundary(response), max_part_bytes=self._max_part_bytes)
                 self._answered = True
                 self._receive(response, splitter)
-        except CameraError as error:
+        except Exception as error:  # whatever it is, it is the reader's
             self._parts.fail(error)
         finally:
             connection.close()
@@ -199,12 +199,12 @@ class MjpegStream:
 
 
 def _connection(address: str, name: str, timeout_s: float) -> http.client.HTTPConnection:
-    split = urlsplit(address)
     try:
+        split = urlsplit(address)
         host, port = split.hostname, split.port
-    except ValueError:
-        host, port = None, None
-    if not host:
+    except ValueError:  # a port that is no number, brackets that don't close
+        split, host, port = None, None, None
+    if split is None or not host:
         raise NoCamera(f"{name}: this is no address; want http://host:port/path")
     if split.scheme == "https":
         # Cameras' certificates are signed by nobody; a password is safer so than in the open.

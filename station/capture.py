@@ -21,7 +21,7 @@ from drivers.camera import Frame
 from drivers.errors import ArmFault, BusLost, DriverError, NoReply
 from station.logs import FloatArray
 from station.motion import Plan
-from station.perception.corners import MarkerDetector
+from station.perception.marker_tracker import MarkerTracker
 from station.recording import RecordingWriter
 from station.rig import Rig
 from station.tracking import observe
@@ -71,7 +71,8 @@ class FrameWorker:
     def __init__(self, rig: Rig, writer: RecordingWriter) -> None:
         self._rig = rig
         self._writer = writer
-        self._detector = MarkerDetector(rig.markers.dictionary)
+        ids = [marker.id for marker in rig.markers.markers]
+        self._detector = MarkerTracker(rig.markers.dictionary, rig.camera_model, ids)
         self._frames: queue.Queue[Frame | None] = queue.Queue(QUEUED_FRAMES)
         self._failure: BaseException | None = None
         self._thread = threading.Thread(target=self._run, name="frames", daemon=True)

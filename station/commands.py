@@ -197,7 +197,7 @@ def capture_by_hand(
 
     Other settings and errors as for `capture`.
     """
-    from station.hand_capture import HandCapture
+    from station.hand_capture import HandCapture, take_in_hand
     from station.hand_motion import free_joints, hand_motion
     from station.recording import RecordingWriter
     from station.rig import RENDERED, load_rig, open_rig
@@ -212,11 +212,12 @@ def capture_by_hand(
         duration_s = duration_s or by_hand.duration_s
     joints = tuple(joint.name for joint in limits)
     with open_rig(rig_file, simulate=simulate, realtime=realtime, seed=seed, by_hand=by_hand) as opened:
+        take_in_hand(opened, ask)
         description = _description(rig_file, opened, limits, None)
         start_ns = opened.clock.now_ns()
         blueprint = session_blueprint(joints)
         with RecordingWriter(out, description, start_ns=start_ns, blueprint=blueprint, force=force) as writer:
-            return HandCapture(opened, writer, ask=ask, duration_s=duration_s, progress=progress).run()
+            return HandCapture(opened, writer, duration_s=duration_s, progress=progress).run()
 
 
 def _description(
@@ -396,7 +397,8 @@ def _compare(session: Path, commands: Path | None) -> tuple[Comparison, Recordin
         commanded, measured = recording.commanded, recording.measured
         if not commanded.joints:
             raise StationError(
-                f"{session} has no recorded commands\ngive them with --commands FILE (t_s, then a column a joint)"
+                f"{session} has neither commands nor read-back: nothing to compare with\n"
+                "give commands with --commands FILE (t_s, then a column a joint)"
             )
     else:
         commanded, measured = read_commands(commands, tree.units), None
@@ -464,10 +466,15 @@ def _facts(session: Path, recording: Recording) -> dict[str, str]:
         "state": status.state,
         "started": about.started.isoformat(timespec="seconds"),
         **({"rig": rig} if rig else {}),
+        **({"moved": "by hand: compared with the read-back alone"} if _by_hand(recording) else {}),
         **({"seed": str(about.seed)} if about.seed is not None else {}),
         **counts,
         **about.versions,
     }
+
+
+def _by_hand(recording: Recording) -> bool:
+    return bool(len(recording.measured.t_s)) and not len(recording.commanded.t_s)
 
 
 def _lag_warnings(comparison: Comparison) -> tuple[str, ...]:

@@ -13,8 +13,9 @@ from station.logs import FloatArray, PoseLog
 from station.perception import pose
 from station.perception.choice import Choice, choose_over_time, chosen_poses
 from station.perception.corner_noise import evidence_weights, total_covariance
-from station.perception.corners import Detections, MarkerDetector
+from station.perception.corners import Detections
 from station.perception.hypotheses import PoseHypotheses, estimate_hypotheses, part_of_row
+from station.perception.marker_tracker import MarkerTracker
 from station.perception.markers import MarkerTable
 from station.perception.neighbours import choose_by_neighbours
 from station.perception.observations import FrameMarkers, ObservationBuilder, ObservationLog
@@ -43,7 +44,8 @@ def observe_frames(
     frames: Iterable[tuple[float, NDArray[np.uint8]]], table: MarkerTable, camera: CameraModel
 ) -> ObservationLog:
     """Observations of all frames, each (t_s, image); frames without a marker keep their time."""
-    detector, builder = MarkerDetector(table.dictionary), ObservationBuilder()
+    detector = MarkerTracker(table.dictionary, camera, [marker.id for marker in table.markers])
+    builder = ObservationBuilder()
     for t_s, image in frames:  # images come one at a time
         builder.add(t_s, observe(detector.detect(image), table, camera))
     return builder.build()

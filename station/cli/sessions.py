@@ -245,11 +245,13 @@ def _show_comparison(comparison: Comparison, as_json: bool) -> None:
     if as_json:
         print(comparison_json(comparison))
         return
-    table("Detected against read-back and command, after sign and offset only", summary_rows(comparison))
+    told = not comparison.joints or any(joint.against_commanded is not None for joint in comparison.joints)
+    against = "read-back and command" if told else "read-back (there are no commands)"
+    table(f"Detected against {against}, after sign and offset only", summary_rows(comparison))
     for name in comparison.unmatched_commanded:
         warn(f"{name}: no detected joint follows it")
     for name in comparison.unmatched_fitted:
-        warn(f"{name}: detected, but follows no command")
+        warn(f"{name}: detected, but follows no joint of the arm")
 
 
 def _show_tree(tree: KinematicTree) -> None:

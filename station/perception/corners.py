@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from calibration.intrinsics import CameraModel
 from station.errors import InvalidData
 from station.logs import FloatArray
-from station.perception.marker_bits import dictionary_bits, shows_bits
+from station.perception.marker_bits import behind_border, dictionary_bits, shows_bits
 from station.perception.markers import load_dictionary
 from station.perception.refinement import refine_corners
 
@@ -97,9 +97,7 @@ class MarkerDetector:
         usual = cv2.aruco.DetectorParameters()
         self._full = _opencv_detector(loaded, (usual.adaptiveThreshWinSizeMin, usual.adaptiveThreshWinSizeMax))
         self._bits = dictionary_bits(loaded)
-        # Behind the border along each edge, clockwise from the top: what the refinement has to know.
-        bits = self._bits
-        self._inner = np.stack([bits[:, 1], bits[:, :, -2], bits[:, -2, ::-1], bits[:, ::-1, 1]], axis=1)
+        self._inner = behind_border(self._bits)
         self._camera = camera
 
     def detect(self, image: Image, expected: Collection[int] | None = None) -> Detections:

@@ -53,7 +53,7 @@ def find_dictionary(images: Sequence[Image]) -> FoundDictionary | None:
 def _sightings(name: str, images: Sequence[Image]) -> tuple[int, tuple[tuple[int, ...], int] | None]:
     """How often markers of a dictionary were seen that were seen often enough; their ids, and in how many images."""
     detector = MarkerDetector(name)
-    seen = [detector.detect(image).ids.tolist() for image in images]
+    seen = [detector.detect(image, expected=()).ids.tolist() for image in images]
     counts = Counter(n for ids in seen for n in ids)
     kept = {n: count for n, count in counts.items() if count >= min(LEAST_SIGHTINGS, len(images))}
     if not kept:

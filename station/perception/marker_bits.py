@@ -24,6 +24,11 @@ def dictionary_bits(dictionary: cv2.aruco.Dictionary) -> FloatArray:
     return bits
 
 
+def behind_border(bits: FloatArray) -> FloatArray:
+    """Bits (M, 4, n) behind the border of markers with cells (M, n, n), along the edges clockwise from the top left."""
+    return np.stack([bits[:, 1], bits[:, :, -2], bits[:, -2, ::-1], bits[:, ::-1, 1]], axis=1)
+
+
 def cell_middles(corners_px: FloatArray, cells: int) -> FloatArray:
     """Middles (M, n, n, 2) px of the cells of markers with corners (M, 4, 2): rows from the top, columns from the left.
 
@@ -41,17 +46,34 @@ def cell_middles(corners_px: FloatArray, cells: int) -> FloatArray:
     return middles.reshape(-1, cells, cells, 2)
 
 
+def read_bits(grey: NDArray[np.uint8], corners_px: FloatArray, cells: int) -> FloatArray:
+    """Cells (M, n, n) of markers with corners (M, 4, 2) as an image shows them, 1 = white; the border is black."""
+    seen = _middle_greys(grey, corners_px, cells)
+    middle = 0.5 * (seen.max(axis=-1, initial=0.0) + seen.min(axis=-1, initial=255.0))
+    bits = (seen > middle[:, None]).astype(np.float64).reshape(-1, cells, cells)
+    inside = np.zeros((cells, cells))
+    inside[1:-1, 1:-1] = 1.0
+    return bits * inside
+
+
+def _middle_greys(grey: NDArray[np.uint8], corners_px: FloatArray, cells: int) -> FloatArray:
+    """Grey levels (M, n n) of the middles of the cells."""
+    if not len(corners_px):
+        return np.zeros((0, cells * cells))
+    x, y = (cell_middles(corners_px, cells)[..., axis].reshape(-1, cells * cells) for axis in (0, 1))
+    maps = x.astype(np.float32), y.astype(np.float32)
+    return np.asarray(cv2.remap(grey, *maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE), dtype=np.float64)
+
+
 def shows_bits(grey: NDArray[np.uint8], corners_px: FloatArray, bits: FloatArray) -> NDArray[np.bool_]:
     """Whether (M,) an image shows the cells (M, n, n) of markers with corners (M, 4, 2): every one of them."""
     if not len(corners_px):
         return np.zeros(0, dtype=bool)
-    middles = cell_middles(corners_px, bits.shape[-1]).astype(np.float32)
-    x, y = (middles[..., axis].reshape(len(bits), -1) for axis in (0, 1))
-    seen = np.asarray(cv2.remap(grey, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE), dtype=np.float64)
-    white = bits.reshape(seen.shape)
-    whites = np.maximum(white.sum(axis=-1), 1.0)
-    mean_white = np.sum(seen * white, axis=-1) / whites
-    mean_black = np.sum(seen * (1.0 - white), axis=-1) / (white.shape[-1] - white.sum(axis=-1))
+    seen = _middle_greys(grey, corners_px, bits.shape[1])
+    white = bits.reshape(len(bits), -1)
+    black = 1.0 - white  # there is some: the border
+    mean_white = np.sum(seen * white, axis=-1) / np.maximum(white.sum(axis=-1), 1.0)
+    mean_black = np.sum(seen * black, axis=-1) / black.sum(axis=-1)
     contrast = mean_white - mean_black
     place = (seen - 0.5 * (mean_white + mean_black)[:, None]) * (2.0 * white - 1.0)
     return (place.min(axis=-1) > CLEARANCE * contrast) & (contrast > LEAST_CONTRAST_GREY)

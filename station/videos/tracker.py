@@ -18,6 +18,7 @@ from station.errors import InvalidFile
 from station.perception.corners import MarkerDetector
 from station.perception.dictionary_search import find_dictionary
 from station.perception.jpeg import encode_jpeg
+from station.perception.marker_tracker import MarkerTracker
 from station.perception.markers import MarkerTable, load_dictionary
 from station.perception.sharpness import edge_widths_px
 from station.tracking import observe
@@ -78,7 +79,7 @@ def track_video(
     """
     tally, total = MarkerTally(table), float(video.count or 0)
     cells = int(load_dictionary(table.dictionary).markerSize) + 2 * BORDER_CELLS
-    detector = MarkerDetector(table.dictionary)
+    detector = MarkerTracker(table.dictionary, camera, [marker.id for marker in table.markers])
     try:
         with closing(_with_jpeg(video, keep_frames)) as frames:
             for frame, jpeg in frames:
@@ -143,7 +144,10 @@ class _Sample:
 
 def _what_is_there(video: Video, table: MarkerTable, others: set[int], sample: list[Image]) -> str:
     if not sample:
-        return f"none of its {video.frames_seen} frames has a time stamp"
+        return (
+            f"none of its {video.frames_seen} frames has a time stamp\n"
+            "give their rate with --fps, or the time of each with --timestamps (frame,t_s; frames count from 0)"
+        )
     wanted = _ids(sorted(marker.id for marker in table.markers))
     if others:
         return (

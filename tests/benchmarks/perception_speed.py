@@ -21,14 +21,13 @@ import numpy as np
 from calibration.intrinsics import FloatArray
 from station.perception.corners import Detections, MarkerDetector
 from station.perception.marker_tracker import MarkerTracker
-from station.perception.pose import estimate_poses, pose_covariance
+from station.perception.pose import estimate_poses
 from tests import rendered_markers
 
 SIZE_M = 0.05
 MARKERS = 8
 CAMERA = rendered_markers.webcam()
 FRAME_RATE_HZ = 30.0
-SIGMA_PX = 0.05
 Stages = dict[str, list[float]]
 
 
@@ -71,14 +70,12 @@ class Watch:
 
 
 def with_poses(found: Detections, watch: Watch) -> None:
-    poses = estimate_poses(found.corners_px, np.full(len(found), SIZE_M), CAMERA)
-    watch.stop("poses")
-    pose_covariance(poses.T_cam_marker[:, 0], SIZE_M, CAMERA, SIGMA_PX)
-    watch.stop("covariances")
+    estimate_poses(found.corners_px, np.full(len(found), SIZE_M), CAMERA, found.covariance_px2)
+    watch.stop("poses")  # and their covariances
 
 
 def one_by_one(detector: MarkerDetector, image: np.ndarray, watch: Watch) -> int:
-    """Each frame as if it were alone: the quick search, refinement, poses, covariances."""
+    """Each frame as if it were alone: the quick search, refinement, poses with covariances."""
     watch.start()
     rough = detector.search(image)
     watch.stop("search")
@@ -115,7 +112,7 @@ def run(frames: int, repeats: int) -> None:
     images = stream(frames)
     plain = cv2.aruco.ArucoDetector(cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50))
     opencv, single, streamed = Watch(), Watch(), Watch()
-    seen = np.zeros(3)
+    counts = np.zeros(3)
     for _ in range(repeats):
         detector = MarkerDetector(rendered_markers.DICTIONARY, CAMERA)
         tracker = MarkerTracker(rendered_markers.DICTIONARY, CAMERA, range(MARKERS))
@@ -123,20 +120,15 @@ def run(frames: int, repeats: int) -> None:
             opencv.start()
             ids = plain.detectMarkers(image)[1]
             opencv.stop("detectMarkers")
-            seen += (
-                0 if ids is None else len(ids),
-                one_by_one(detector, image, single),
-                as_stream(tracker, image, streamed),
-            )
+            counts[0] += 0 if ids is None else len(ids)
+            counts[1] += one_by_one(detector, image, single)
+            counts[2] += as_stream(tracker, image, streamed)
     plain_s = float(np.median(opencv.times["detectMarkers"]))
     show("OpenCV, default parameters", opencv.times, plain_s)
     show("ours, each frame alone", single.times, plain_s)
     show("ours, as a stream", streamed.times, plain_s)
-    print(
-        "markers seen: OpenCV {:.1%}, each frame alone {:.1%}, as a stream {:.1%}".format(
-            *seen / (MARKERS * repeats * frames)
-        )
-    )
+    opencv_seen, single_seen, stream_seen = counts / (MARKERS * repeats * frames)
+    print(f"markers seen: OpenCV {opencv_seen:.1%}, each frame alone {single_seen:.1%}, as a stream {stream_seen:.1%}")
 
 
 def main() -> None:

@@ -256,7 +256,7 @@ def test_nobody_there_is_no_camera() -> None:
         camera_at(address).start()
 
 
-@pytest.mark.parametrize("address", ["http://", "http://host:port/", "http:///video"])
+@pytest.mark.parametrize("address", ["http://", "http://host:port/", "http:///video", "http://[bad/video"])
 def test_what_is_no_address_is_told(address: str) -> None:
     with pytest.raises(NoCamera, match="this is no address"):
         camera_at(address).start()
@@ -308,4 +308,13 @@ def test_encryption_with_what_does_not_speak_it_is_told() -> None:
         camera = camera_at(f"https://{server.host}/video")
         with pytest.raises(NoCamera, match=r"can't be reached: .*(SSL|EOF|reset)"):
             camera.start()
+        camera.close()
+
+
+def test_an_address_that_http_cannot_ask_for_is_told_without_its_password() -> None:
+    with IpCamera(sends(HEAD, PARTS)) as server:
+        camera = camera_at(f"http://me:mine@{server.host}/my video?pwd=hidden")
+        with pytest.raises(NoCamera, match="can't be reached: URL can't contain") as error:
+            camera.start()
+        assert "mine" not in str(error.value) and "hidden" not in str(error.value)
         camera.close()

@@ -175,3 +175,16 @@ def test_every_importer_has_one_of_the_files_that_fit_reads(importer: Importer, 
     path.write_text("\n".join(WRITERS[importer.name](log)), "utf-8")
     code, out, err = station("fit", path, "--out", tmp_path / "fit")
     assert code == 0 and "revolute" in out, err
+
+
+def test_a_folder_of_tum_files_is_fitted_as_one_log(station, tmp_path: Path) -> None:
+    swing = se3.rotation_z(np.linspace(0, 1.2, 40))
+    noise = se3.exp(np.random.default_rng(1).normal(size=(40, 2, 6)) * 2e-3)
+    frame = np.broadcast_to(se3.translation([0.1, 0.0, 1.0]), (40, 4, 4))
+    T = np.stack([frame @ swing @ se3.translation([0.4, 0, 0]), frame], axis=1) @ noise
+    (tmp_path / "run").mkdir()
+    for k, part in enumerate(("door", "frame")):
+        log = PoseLog(np.arange(40) / 30, "world", (PARTS[0],), T[:, [k]])
+        (tmp_path / "run" / f"{part}.txt").write_text("\n".join(write_tum(log)), "utf-8")
+    code, out, err = station("fit", tmp_path / "run", "--out", tmp_path / "fit")
+    assert code == 0 and "revolute" in out and "frame > door" in out, err
