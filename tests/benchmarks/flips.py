@@ -1,10 +1,10 @@
 """Flips: how often the wrong one of a marker's two poses is taken, in rendered sweeps seen by the real detector.
 
 A marker of 50 mm at 0.6 m (50 px) and, where flips are common, at 1.2 m; sweeps through tilts from 0 to 60 deg and
-through the front, and standing still at small tilts. A flip is a frame whose other candidate is clearly nearer to the truth: by more than 0.3 of what the two
-are apart, and they are more than 3 of the chosen one's standard deviations apart; nearer pairs differ by noise alone.
-Counted where the corners of the frame alone choose, where the whole log chooses, and of the latter those that are not
-flagged ambiguous.
+through the front, and standing still at small tilts. A flip is a frame whose other candidate is clearly nearer to the
+truth: by more than 0.3 of what the two are apart, and they are more than 3 of the chosen one's standard deviations
+apart; nearer pairs differ by noise alone. Counted where the corners of the frame alone choose, where the whole log
+chooses, and of the latter those that are not flagged ambiguous.
 
 Run: python -m tests.benchmarks.flips [--quick]
 """
