@@ -112,7 +112,7 @@ def track_parts(
     """
     readout_s = camera.readout_s if readout_s is None else readout_s
     covariance_px2 = total_covariance(observations, sigma_px)
-    weight = evidence_weights(observations, covariance_px2)
+    weight = evidence_weights(observations)
     if readout_s:
         observations, covariance_px2 = at_frame_time(observations, covariance_px2, camera.size_px[1], readout_s)
     hypotheses = estimate_hypotheses(observations, table, camera, covariance_px2, weight)

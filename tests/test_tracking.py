@@ -157,18 +157,16 @@ def test_what_one_frame_leaves_open_many_decide() -> None:
 
 def test_frames_that_show_the_same_errors_count_once_for_those() -> None:
     still = watch(tilted(np.full(100, 20.0))[:, None], ONE, sigma_px=0.05)
-    moving = watch(tilted(np.linspace(20, 70, 100))[:, None], ONE, sigma_px=0.05)
-    stated = total_covariance(still)
-    weight = evidence_weights(still, stated)
-    # However many looks there are at noise of 0.05 px, they tell no more than one at the 0.02 px of unseen errors.
-    assert 3 < 100 * weight[0] < (0.06 / UNSEEN_SIGMA_PX) ** 2
-    assert evidence_weights(moving, stated).min() > 0.5
+    moving = watch(tilted(np.linspace(20, 70, 20))[:, None], ONE, sigma_px=0.05)
+    # However many looks there are, they tell no more than one and a bit, as most of their error is common.
+    assert 1 <= 100 * evidence_weights(still)[0] < 2
+    assert evidence_weights(moving).min() > 0.5
 
 
 @pytest.mark.parametrize("tilt_deg", [0.0, 5.0, 20.0, 50.0, 70.0])
 def test_stated_covariances_are_honest(tilt_deg: float) -> None:
     truth = tilted(np.full(900, tilt_deg))[:, None]
-    seen = stating(watch(truth, ONE, sigma_px=0.07, seed=int(tilt_deg)), 0.07)
+    seen = stating(watch(truth, ONE, sigma_px=0.05, seed=int(tilt_deg)), 0.05)
     log = estimate_pose_log(seen, ONE, CAMERA)
     # The mean of 900 chi-squared of 6 over 6 is 1 +- 0.02, the scale's own estimate is good to 5 %.
     assert 0.8 < normalised_errors(log, truth).mean() < 1.25

@@ -23,7 +23,7 @@ UNDISTORTING_ROUNDS = 30
 # Levenberg-Marquardt.
 # A frame's markers get by with few: the pose is then right to a small part of its deviation. The rest is for the slow
 # way along the flat valley between two solutions that noise has merged.
-FEW_STEPS = 8
+FEW_STEPS = 5
 MANY_STEPS = 60
 FIRST_DAMPING = 1e-5  # share of the normal matrix's diagonal that is added to it
 DAMPING_FACTOR = 10.0
@@ -188,10 +188,12 @@ def _solved(
 ) -> Solved:
     errors, _ = ray_errors(R, t, sights)
     px = (sights.px_per_ray @ errors[..., None])[..., 0]
+    with np.errstate(over="ignore"):  # a start that led nowhere may have a point at the camera's plane
+        rms_px = np.sqrt(np.mean(px * px, axis=(-2, -1)))
     T = np.zeros((len(R), 4, 4))
     T[:, :3, :3], T[:, :3, 3], T[:, 3, 3] = R, t, 1.0
     T[np.isnan(chi2)] = np.nan
-    return Solved(T, chi2, np.sqrt(np.mean(px * px, axis=(-2, -1))), _right(normal, R), settled)
+    return Solved(T, chi2, rms_px, _right(normal, R), settled)
 
 
 def _right(normal: FloatArray, R: FloatArray) -> FloatArray:
