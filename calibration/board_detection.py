@@ -14,13 +14,17 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.boards import CharucoBoard
+from calibration.boards import CharucoBoard, load_dictionary
 from calibration.errors import CalibrationError
 from calibration.intrinsics import FloatArray
 
 Grey = NDArray[np.uint8]
 IntArray = NDArray[np.int64]
 
+# Candidates are rectified to so many pixels a cell (OpenCV: 4) and read without this share of each cell's rim (0.13):
+# small and blurred ones are read, too.
+READ_PX_PER_CELL = 8
+READ_RIM = 0.25
 # A board of which fewer markers agree with its description isn't found.
 LEAST_MARKERS = 3
 # Nor one that fewer than this share of what is read agrees with: a board of other columns agrees in parts.
@@ -53,7 +57,6 @@ class BoardView:
         corners_px: (N, 2) where they are.
         marker_ids: (M,) of the markers that were read and agree with the board.
         marker_corners_px: (M, 4, 2) rough corners of their black squares.
-        strangers: how many markers of the board's dictionary were read that aren't where the board has them.
     """
 
     size_px: tuple[int, int]
@@ -61,7 +64,6 @@ class BoardView:
     corners_px: FloatArray
     marker_ids: IntArray
     marker_corners_px: FloatArray
-    strangers: int = 0
 
     def __len__(self) -> int:
         return len(self.ids)
@@ -84,11 +86,10 @@ class BoardFinder:
         known = ids < self.board.marker_count
         agreed = known.copy()
         agreed[known] = self.agreeing(ids[known], sides_px[known])
-        strangers = int(np.sum(~agreed))
         if agreed.sum() < max(LEAST_MARKERS, AGREEING_SHARE * len(ids)):
-            return BoardView(size_px, np.zeros(0, np.int64), np.zeros((0, 2)), ids[:0], sides_px[:0], strangers)
+            return BoardView(size_px, np.zeros(0, np.int64), np.zeros((0, 2)), ids[:0], sides_px[:0])
         names, corners_px = self._corners(grey, ids[agreed], sides_px[agreed])
-        return BoardView(size_px, names, corners_px, ids[agreed], sides_px[agreed], strangers)
+        return BoardView(size_px, names, corners_px, ids[agreed], sides_px[agreed])
 
     def agreeing(self, ids: IntArray, sides_px: FloatArray) -> NDArray[np.bool_]:
         """Which (M,) markers with corners (M, 4, 2) are where the board has them, seen as one plane."""
@@ -159,10 +160,10 @@ class BoardFinder:
 
 def marker_detector(dictionary: str) -> cv2.aruco.ArucoDetector:
     """OpenCV's detector, as boards are looked for with it."""
-    from calibration.boards import load_dictionary
-
     parameters = cv2.aruco.DetectorParameters()
     parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_NONE
+    parameters.perspectiveRemovePixelPerCell = READ_PX_PER_CELL
+    parameters.perspectiveRemoveIgnoredMarginPerCell = READ_RIM
     return cv2.aruco.ArucoDetector(load_dictionary(dictionary), parameters)
 
 

@@ -6,9 +6,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from calibration.board_detection import BoardView, Grey
+from calibration.board_detection import BoardView, Grey, IntArray
 from calibration.boards import CharucoBoard
 from calibration.camera_fit import CameraFit, Corners, fit_camera, refit_camera, stack_views
 from calibration.edge_shift import LEAST_MARKERS, EdgeShift, estimate_edge_shift
@@ -21,12 +20,15 @@ from calibration.wrong_board import marker_share
 
 # A view tells something with so many corners, in at least two rows and two columns.
 LEAST_CORNERS = 8
-# A view of which fewer corners than this share fit the camera that the others found is left out.
+# A view of which fewer corners than this share fit the camera that the others found is left out, and one whose corners
+# are off by so many times what is common in the others, and by more than so much.
 LEAST_FITTING = 0.5
+STRAY_VIEW, STRAY_VIEW_PX = 6.0, 0.2
 LEAST_VIEWS = 3
 
-# Takes a grey image and rough corners (M, 4, 2) of black squares; gives corners, and which (M,) are to be believed.
-RefineMarkers = Callable[[Grey, FloatArray], tuple[FloatArray, NDArray[np.bool_]]]
+# Takes a grey image, ids (M,) and rough corners (M, 4, 2) of its markers, and the camera; gives ids and corners of
+# those that are to be believed.
+RefineMarkers = Callable[[Grey, IntArray, FloatArray, CameraModel], tuple[IntArray, FloatArray]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,7 +93,9 @@ def calibrate_camera(
     corners = _stacked(kept, board)
     fit = fit_camera(corners)
     fitting = np.bincount(corners.view, fit.used, minlength=len(kept)) / np.bincount(corners.view)
-    if np.any(bad := fitting < LEAST_FITTING) and np.sum(~bad) >= LEAST_VIEWS:
+    bad = fitting < LEAST_FITTING
+    bad |= fit.sigma_px > max(STRAY_VIEW * float(np.median(fit.sigma_px)), STRAY_VIEW_PX)
+    if np.any(bad) and np.sum(~bad) >= LEAST_VIEWS:
         left_out = [shot.name for shot, is_bad in zip(kept, bad, strict=True) if is_bad]
         kept = [shot for shot, is_bad in zip(kept, bad, strict=True) if not is_bad]
         fit = refit_camera(fit, corners, ~bad)
@@ -144,17 +148,17 @@ def _markers(
     if refine is None:
         return None, None
     seen: list[FloatArray] = []
-    ids: list[NDArray[np.int64]] = []
-    view: list[NDArray[np.int64]] = []
+    ids: list[IntArray] = []
+    view: list[IntArray] = []
     for number, shot in enumerate(shots):  # a view is an image
-        corners, good = refine(shot.image, shot.view.marker_corners_px)
-        seen.append(corners[good])
-        ids.append(shot.view.marker_ids[good])
-        view.append(np.full(int(good.sum()), number))
-    corners_px, names, number = np.concatenate(seen), np.concatenate(ids), np.concatenate(view)
+        names, corners = refine(shot.image, shot.view.marker_ids, shot.view.marker_corners_px, fit.camera)
+        seen.append(corners)
+        ids.append(names)
+        view.append(np.full(len(names), number))
+    corners_px, marker, number = np.concatenate(seen), np.concatenate(ids), np.concatenate(view)
     share = marker_share(fit, corners_px, number, board)
-    if share is None or len(names) < LEAST_MARKERS or abs(share - 1) > MARKER_SHARE[0]:
+    if share is None or len(marker) < LEAST_MARKERS or abs(share - 1) > MARKER_SHARE[0]:
         return share, None
     T = fit.T_cam_board[number][:, None]
-    p_cam = (T[..., :3, :3] @ board.marker_points()[names][..., None])[..., 0] + T[..., :3, 3]
+    p_cam = (T[..., :3, :3] @ board.marker_points()[marker][..., None])[..., 0] + T[..., :3, 3]
     return share, estimate_edge_shift(corners_px, project(fit.camera, p_cam), number)

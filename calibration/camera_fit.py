@@ -246,7 +246,7 @@ def _noise(residual_px: FloatArray, corners: Corners) -> tuple[FloatArray, BoolA
     squares = np.bincount(corners.view, np.where(used, np.sum(size**2, axis=1), 0), minlength=corners.views)
     count = 2.0 * np.bincount(corners.view, used, minlength=corners.views)
     free = np.maximum(count - 6 - len(PARAMETERS) / corners.views, 1.0)
-    shared = squares.sum() / free.sum()
+    shared = float(np.median(squares / free))
     variance = (squares + SHARED_RESIDUALS * shared) / (free + SHARED_RESIDUALS)
     return np.maximum(np.sqrt(variance), SMALLEST_SIGMA_PX), used
 

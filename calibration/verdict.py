@@ -19,11 +19,11 @@ from calibration.view_quality import ViewQuality
 
 # Limits (good up to, usable up to).
 FOCAL_SHARE = (0.003, 0.01)  # standard deviation of the focal lengths
-MAP_PX = (0.5, 1.5)  # standard deviation of where the camera has a point, at the worst place of the image
+MAP_PX = (0.8, 2.0)  # standard deviation of where the camera has a point, at the worst place of the image
 RMS_PX = (0.4, 1.0)
 HELD_OUT_RATIO = (1.6, 3.0)  # of the RMS of views left out to that of all
 HELD_OUT_FLOOR_PX = 0.05  # RMS below which a ratio says nothing
-BLUR_PX = (1.8, 2.6)  # of edges, median of the views
+BLUR_PX = (1.5, 2.2)  # of edges, median of the views
 EMPTY_SHARE = (0.35, 0.6)  # of the image's cells that no corner fell into
 VIEWS = (10, 6)
 TILTED = (5, 3)  # views

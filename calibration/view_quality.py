@@ -15,13 +15,13 @@ from calibration.intrinsics import FloatArray
 # Cells of the image in which corners are counted: across and down.
 COVER_CELLS = (8, 6)
 # Profiles across edges: samples, and half length in squares, within the white between square and marker.
-PROFILE_SAMPLES = 17
+PROFILE_SAMPLES = 41
 PROFILE_SQUARES = 0.14
 # The focal length that tilts are judged with before one is known, in image widths: a common webcam's.
 GUESSED_FOCAL = 0.95
 LEAST_TILT_CORNERS = 6
 # Samples at each end of a profile that show black and white.
-END_SAMPLES = 3
+END_SAMPLES = 6
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,7 +102,7 @@ def _edge_blur(view: BoardView, grey: Grey, board: CharucoBoard, step: int) -> f
     profile = np.asarray(cv2.remap(grey, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE), np.float64)
     slope = np.abs(np.diff(profile, axis=1)).max(axis=1) / (across[:, 1] - across[:, 0])
     contrast = np.abs(profile[:, -END_SAMPLES:].mean(axis=1) - profile[:, :END_SAMPLES].mean(axis=1))
-    return float(np.median(contrast / np.maximum(slope, 1e-9))) / np.sqrt(2 * np.pi)
+    return float(np.median(contrast / np.maximum(slope, 1e-9)) / np.sqrt(2 * np.pi))
 
 
 def cover(views: Sequence[BoardView]) -> FloatArray:

@@ -14,14 +14,16 @@ from calibration.boards import CharucoBoard, load_dictionary
 from calibration.camera_fit import CameraFit
 from calibration.errors import CalibrationError
 from calibration.intrinsics import FloatArray
-from calibration.verdict import BLUR_PX, undistorted_rays
+from calibration.verdict import undistorted_rays
 
 # Images that are looked at.
 LOOKED_AT = 6
 # Markers of another dictionary that are no accident.
 LEAST_OTHERS = 4
 MOST_COLUMNS = 24
-DICTIONARY_IMAGES = 3
+DICTIONARY_IMAGES = 2
+# Spread of an image's sharpest edges that hides the board.
+HIDING_BLUR_PX = 1.8
 # One dictionary of each family: the largest.
 LARGEST = (
     *(f"DICT_{n}X{n}_1000" for n in (4, 5, 6, 7)),
@@ -49,9 +51,9 @@ def explain_missing(images: Sequence[Grey], board: CharucoBoard) -> str:
     if (other := likely_board(chosen, board)) is not None:
         return _said(other, board)
     blur_px = float(np.median([edge_spread_px(image) for image in chosen])) if chosen else 0.0
-    if blur_px > BLUR_PX[0]:
+    if blur_px > HIDING_BLUR_PX:
         return (
-            f"they are blurred: even their sharpest edges spread over {blur_px:.1f} px, want {BLUR_PX[0]:g} or less\n"
+            f"they are blurred: their sharpest edges spread over {blur_px:.1f} px, want {HIDING_BLUR_PX:g} at most\n"
             "focus the camera and lock the focus, hold the board still, use more light or a shorter exposure"
         )
     return "no marker of any dictionary is read in them: is the board in view, large enough, flat, lit and in focus?"

@@ -233,8 +233,8 @@ class Arm:
         self._check_alarms()
         self._check_silence(min(block.t_request_ns for block in blocks.values()))
         states = {servo_id: self._readers[servo_id](block) for servo_id, block in blocks.items()}
-        q = np.array([self._joint_state(joint, states) for joint in self._joints], dtype=np.float64)
         own = [[blocks[servo.id] for servo in joint.servos] for joint in self._joints]
+        q = np.array([self._joint_state(*each, states) for each in zip(self._joints, own, strict=True)])
         t_joint_ns = np.array([(b[0].t_request_ns + b[-1].t_reply_ns) // 2 for b in own], dtype=np.int64)
         q.setflags(write=False)
         t_joint_ns.setflags(write=False)
@@ -311,9 +311,12 @@ class Arm:
                 "their bus watchdog; give the station more processor time, or raise watchdog_s in the rig"
             )
 
-    def _joint_state(self, joint: JointConfig, states: Mapping[int, ServoState]) -> float:
+    def _joint_state(self, joint: JointConfig, blocks: Sequence[Block], states: Mapping[int, ServoState]) -> float:
         values = [servo.q(states[servo.id].count) for servo in joint.servos]
-        if (max(values) - min(values)) * joint.servos[0].ratio > self._disagreement_rad:
+        # One is read after the other: what the joint turns by in between is no disagreement.
+        took_s = (max(block.t_reply_ns for block in blocks) - min(block.t_request_ns for block in blocks)) * 1e-9
+        turned_rad = took_s * max(abs(states[servo.id].speed_rad_s) for servo in joint.servos)
+        if (max(values) - min(values)) * joint.servos[0].ratio > self._disagreement_rad + turned_rad:
             each = ", ".join(
                 f"servo {servo.id} at {joint.text(value)}" for servo, value in zip(joint.servos, values, strict=True)
             )

@@ -11,24 +11,21 @@ from collections.abc import Mapping
 from contextlib import closing, suppress
 from urllib.parse import SplitResult, unquote, urlsplit
 
-import cv2
 import numpy as np
 
 from drivers.addresses import without_secrets
-from drivers.camera import STALL_S, FrameQueue, Image, Setting
+from drivers.camera import STALL_S, FrameQueue, Setting
 from drivers.clock import Clock
 from drivers.errors import CameraError, CameraLost, CameraStalled, NoCamera
 from drivers.live_camera import FIRST_FRAME_S, LiveCamera, Taken
 from drivers.multipart import MAX_PART_BYTES, BadStream, Part, PartSplitter, read_boundary
+from drivers.stored_frames import decode_image
 
 READ_BYTES = 1 << 16
 NS = 1_000_000_000
 # Seconds that `take` waits before it says that there is nothing, and `release` for the thread.
 WAIT_S = 0.1
 RELEASE_S = 1.0
-JPEG_START, JPEG_END = b"\xff\xd8", b"\xff\xd9"
-# Cameras fill their pictures up with zeros, and servers without Content-Length add line ends.
-PADDING = b"\x00\r\n"
 # Parts of these kinds, and those that don't say, are pictures; others (heart beats, alarms) are passed over.
 PICTURES = ("image/jpeg", "image/jpg", "")
 
@@ -86,7 +83,7 @@ class MjpegStream:
         self._thread.start()
         try:
             first, self.size_px = self._take_first()
-        except CameraError:
+        except BaseException:
             self.release()
             raise
         self._first: Taken | None = first
@@ -127,7 +124,7 @@ class MjpegStream:
                 splitter = PartSplitter(self._boundary(response), max_part_bytes=self._max_part_bytes)
                 self._answered = True
                 self._receive(response, splitter)
-        except CameraError as error:
+        except Exception as error:  # whatever it is, it is the reader's
             self._parts.fail(error)
         finally:
             connection.close()
@@ -198,24 +195,16 @@ class MjpegStream:
         if part.body == self._last_body:
             return Taken(part.t_ns, "arrival", None, stale=True, lost=lost)
         self._last_body = part.body
-        return Taken(part.t_ns, "arrival", decode_jpeg(part.body), lost=lost)
-
-
-def decode_jpeg(data: bytes) -> Image | None:
-    """The picture, None if it isn't whole: OpenCV would fill what is missing with grey."""
-    if not data.startswith(JPEG_START) or not data.rstrip(PADDING).endswith(JPEG_END):
-        return None
-    image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_COLOR_BGR | cv2.IMREAD_IGNORE_ORIENTATION)
-    return None if image is None else np.asarray(image, dtype=np.uint8)
+        return Taken(part.t_ns, "arrival", decode_image(np.frombuffer(part.body, dtype=np.uint8)), lost=lost)
 
 
 def _connection(address: str, name: str, timeout_s: float) -> http.client.HTTPConnection:
-    split = urlsplit(address)
     try:
+        split = urlsplit(address)
         host, port = split.hostname, split.port
-    except ValueError:
-        host, port = None, None
-    if not host:
+    except ValueError:  # a port that is no number, brackets that don't close
+        split, host, port = None, None, None
+    if split is None or not host:
         raise NoCamera(f"{name}: this is no address; want http://host:port/path")
     if split.scheme == "https":
         # Cameras' certificates are signed by nobody; a password is safer so than in the open.

@@ -11,6 +11,7 @@ from typing import Protocol
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from drivers.camera import Image
 from drivers.errors import DamagedFrames, NoCamera, NoFrames, WrongSize
@@ -95,6 +96,16 @@ def open_stored_frames(source: str | Path, *, fps: float | None = None) -> Store
     return VideoFile(path, fps=fps)
 
 
+def decode_image(data: NDArray[np.uint8]) -> Image | None:
+    """The picture (H, W, 3) in an encoded one (N,); None if it is none, or cut short."""
+    try:
+        with quiet_opencv():
+            image = cv2.imdecode(data, AS_TAKEN)
+    except cv2.error:  # no bytes, or a size that can't be
+        return None
+    return None if image is None else np.asarray(image, dtype=np.uint8)
+
+
 def natural_order(name: str) -> list[tuple[int, int, str]]:
     """Sort key of a file name, by which frame_2 comes before frame_10, in whatever case."""
     parts = re.split(r"(\d+)", name)
@@ -152,12 +163,11 @@ class ImageFiles:
     def _image(self, index: int) -> Image:
         file = self.files[index]
         data = np.fromfile(file, dtype=np.uint8)
-        with quiet_opencv():
-            image = cv2.imdecode(data, AS_TAKEN) if len(data) else None
+        image = decode_image(data)
         if image is None:
             text = f"{file} is no image that OpenCV reads; {index} of {len(self.files)} were read before it"
             raise DamagedFrames(f"{text}\nremove it or save it anew", frames=index)
-        return np.asarray(image, dtype=np.uint8)
+        return image
 
 
 class VideoFile:

@@ -9,19 +9,23 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from calibration.latency import Latency, estimate_latency
+from calibration.scale import Scale, combine_lengths
 from calibration.servo_zeros import ServoZero, find_zeros
-from station.commands import record_motion
+from station.commands import joint_types, record_motion
+from station.compare import compare as compare_logs
 from station.errors import InvalidData, StationError
+from station.fit_files import read_fit
 from station.formats.camera import parse_camera
 from station.formats.motion import parse_motion
 from station.formats.rig import parse_rig
 from station.formats.toml_edit import Key, rewrite
+from station.known_lengths import axis_distances, prismatic_travels
 from station.lone_motion import lone_sweeps, swinging_motion
 from station.motion import plan_motion
 from station.reference_pose import open_bus, read_counts, reference_joints, reference_states
 from station.releasing import release
 from station.rig_reading import check_arm, packaged, packaged_names, read_rig
-from station.session import check_output_folder
+from station.session import FIT_FOLDER, check_output_folder
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -125,7 +129,7 @@ def latency_of(session: Path) -> CameraLatency:
     if not len(recording.measured.t_s) or about.rig is None:
         raise InvalidData(f"{session} has no read-back of servos: a camera's latency is told against it")
     rig, camera = parse_rig(about.rig, f"{session}: rig"), parse_camera(about.camera, f"{session}: camera")
-    readout_s = rig.camera.readout_s or camera.readout_s or 0.0
+    readout_s = (camera.readout_s if rig.camera.readout_s is None else rig.camera.readout_s) or 0.0
     sweeps = lone_sweeps(recording.measured, recording.observations, readout_s=readout_s, height_px=camera.size_px[1])
     reply_s = _reply_s(recording)
     found = estimate_latency(sweeps, reply_s=reply_s)
@@ -191,6 +195,23 @@ def servo_zeros(rig: str, *, pose: Mapping[str, float], ask: Ask, simulate: bool
     keys = [("joint", j, "servo", s, "zero") for j, joint in enumerate(joints) for s in range(len(joint.servos))]
     units = tuple(joint.unit for joint in joints for _ in joint.servos)
     return ServoZeros(zeros, units, tuple(keys), said)
+
+
+def scale_of(session: Path, known_m: Mapping[tuple[str, str], float]) -> Scale:
+    """Whether a fitted session's lengths are right, by what is known of its arm.
+
+    Args:
+        known_m: distances of pairs of joints' axes [m]; prismatic joints with read-back are taken by themselves.
+
+    Raises:
+        StationError: the session isn't fitted, or has no such joints.
+        CalibrationError: nothing is known.
+    """
+    from station.recording import Recording
+
+    recording, fitted = Recording.load(session), read_fit(session / FIT_FOLDER)
+    comparison = compare_logs(fitted.states, recording.commanded, recording.measured, types=joint_types(fitted.tree))
+    return combine_lengths([*prismatic_travels(comparison), *axis_distances(fitted.tree, known_m)])
 
 
 def check_writable(rig: str) -> None:

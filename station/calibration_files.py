@@ -70,6 +70,7 @@ def result_document(done: CameraCalibration) -> dict[str, Any]:
         },
         "rms_px": fit.camera.rms_px,
         "held_out_rms_px": None if held_out is None else held_out.rms_px,
+        "held_out_focal_px": None if held_out is None else held_out.focal_px.tolist(),
         "edge_shift": None
         if shift is None
         else {"px": shift.shift_px, "std_px": shift.std_px, "markers": shift.markers},

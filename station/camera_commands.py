@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration import camera_calibration
-from calibration.boards import CharucoBoard, check_ruler, load_dictionary, parse_spec
+from calibration.boards import CharucoBoard, check_ruler, parse_spec
 from calibration.camera_calibration import CameraCalibration, RefineMarkers
-from calibration.intrinsics import FloatArray
+from calibration.intrinsics import CameraModel, FloatArray
 from calibration.sheets import largest_board
 from station.calibration_files import BOARD_FILE, CAMERA_FILE, VIEWS_FOLDER, clear_calibration, write_calibration
 from station.errors import InvalidData
@@ -169,13 +169,12 @@ def calibrate_camera(
 
 def marker_refinement(board: CharucoBoard) -> RefineMarkers:
     """As the station's detector finds markers' corners, of which it then corrects the edge shift."""
-    from station.perception.marker_bits import behind_border, read_bits
-    from station.perception.refinement import refine_corners
+    from station.perception.corners import MarkerDetector, RoughMarkers
 
-    cells = int(load_dictionary(board.dictionary).markerSize) + 2
-
-    def refine(grey: Image, corners_px: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
-        refined = refine_corners(grey, corners_px, behind_border(read_bits(grey, corners_px, cells)))
-        return refined.corners_px, refined.good
+    def refine(
+        grey: Image, ids: NDArray[np.int64], corners_px: FloatArray, camera: CameraModel
+    ) -> tuple[NDArray[np.int64], FloatArray]:
+        found = MarkerDetector(board.dictionary, camera).refine(grey, RoughMarkers(ids, corners_px))
+        return found.ids, found.corners_px
 
     return refine

@@ -39,12 +39,14 @@ from station.session import (
     check_output_folder,
     read_status,
 )
+from station.smoothing import Smoother, smoother
 
 if TYPE_CHECKING:
     from station.capture import CaptureCounts, Progress
     from station.recording import Recording
     from station.releasing import Ask
     from station.rig import Rig, RigFile
+    from station.tracking import TrackedParts
 
 # In the order of the report's facts.
 VERSIONED = ("capture-fit-station", "numpy", "scipy", "opencv-contrib-python-headless", "rerun-sdk", "dynamixel-sdk")
@@ -195,7 +197,7 @@ def capture_by_hand(
 
     Other settings and errors as for `capture`.
     """
-    from station.hand_capture import HandCapture
+    from station.hand_capture import HandCapture, take_in_hand
     from station.hand_motion import free_joints, hand_motion
     from station.recording import RecordingWriter
     from station.rig import RENDERED, load_rig, open_rig
@@ -210,11 +212,12 @@ def capture_by_hand(
         duration_s = duration_s or by_hand.duration_s
     joints = tuple(joint.name for joint in limits)
     with open_rig(rig_file, simulate=simulate, realtime=realtime, seed=seed, by_hand=by_hand) as opened:
+        take_in_hand(opened, ask)
         description = _description(rig_file, opened, limits, None)
         start_ns = opened.clock.now_ns()
         blueprint = session_blueprint(joints)
         with RecordingWriter(out, description, start_ns=start_ns, blueprint=blueprint, force=force) as writer:
-            return HandCapture(opened, writer, ask=ask, duration_s=duration_s, progress=progress).run()
+            return HandCapture(opened, writer, duration_s=duration_s, progress=progress).run()
 
 
 def _description(
@@ -238,11 +241,13 @@ class Session:
     """A recorded session as the fit takes it.
 
     Attributes:
+        tracked: both candidates of every pose, and which was chosen.
         poses: of the tracked parts in the camera, at the middle of each frame's exposure.
         viewing: (T, K) rad between the line of sight and the normal of the part's marker; NaN where it was not seen.
     """
 
     recording: Recording
+    tracked: TrackedParts
     poses: PoseLog
     viewing: FloatArray
 
@@ -250,7 +255,7 @@ class Session:
 def load_session(path: Path) -> Session:
     """Read a session's recording, and nothing else, and estimate its poses; raises StationError."""
     from station.recording import Recording
-    from station.tracking import estimate_pose_log, viewing_angles_of_parts
+    from station.tracking import track_parts, viewing_angles_of_parts
 
     recording = Recording.load(path)
     about = recording.description
@@ -259,8 +264,8 @@ def load_session(path: Path) -> Session:
     seen = replace(recording.observations, t_s=recording.observations.t_s - latency_s)
     markers = parse_markers(about.markers, f"{path}: markers")
     camera = parse_camera(about.camera, f"{path}: camera")
-    poses = estimate_pose_log(seen, markers, camera, readout_s=readout_s)
-    return Session(recording, poses, viewing_angles_of_parts(seen, markers))
+    tracked = track_parts(seen, markers, camera, readout_s=readout_s)
+    return Session(recording, tracked, tracked.poses, viewing_angles_of_parts(seen, markers))
 
 
 def is_session(path: Path) -> bool:
@@ -277,7 +282,14 @@ class FitResult:
     notices: tuple[str, ...] = ()
 
 
-def fit(source: Path, out: Path | None = None, *, options: FitOptions | None = None, force: bool = False) -> FitResult:
+def fit(
+    source: Path,
+    out: Path | None = None,
+    *,
+    options: FitOptions | None = None,
+    smooth: str | None = None,
+    force: bool = False,
+) -> FitResult:
     """Discover the kinematic tree in a session, or in a log of poses, and write it.
 
     Writes kinematics.json, joint_states.csv, kinematics.urdf and a drawing of tree and states; for a session also
@@ -287,10 +299,15 @@ def fit(source: Path, out: Path | None = None, *, options: FitOptions | None = N
     Args:
         source: a session folder, a recording, or a pose log in any format that is read.
         out: new or empty folder; for a session its own fit/ if None.
+        options: how to fit.
+        smooth: a smoother of the poses, see `station.smoothing.smoother`; it correlates the noise of neighbouring
+            frames, which the fit takes for independent, so that what it states of its certainty is too good.
+        force: overwrite an earlier fit in `out`.
 
     Raises:
-        StationError: the input can't be read or has nothing to fit; `out` is occupied.
+        StationError: the input can't be read or has nothing to fit; `out` is occupied; there is no such smoother.
     """
+    smoothed = smoother(smooth) if smooth else None
     if not source.exists():
         raise InvalidFile(f"no input '{source}'; want a session folder, a recording.rrd or a log of poses")
     session = load_session(source) if is_session(source) else None
@@ -300,8 +317,12 @@ def fit(source: Path, out: Path | None = None, *, options: FitOptions | None = N
         out = source / FIT_FOLDER
     check_output_folder(out, force=force)
     poses = read_pose_log(source) if session is None else session.poses
+    notices = session.recording.notices if session else ()
     try:
-        found = learn(poses, options or FitOptions())
+        found, poses = _learned(poses, options, smoothed)
+        if session is not None and (turned := _chosen_by_tree(session, found.tree)) is not None:
+            found, poses = _learned(turned[0], options, smoothed)
+            notices = (*notices, turned[1])
     except InvalidData as error:
         raise InvalidData(f"{source}: {error}") from error
     if session is not None:
@@ -311,7 +332,25 @@ def fit(source: Path, out: Path | None = None, *, options: FitOptions | None = N
         from station.recording import append_detected
 
         append_detected(source, found.states, found.tree, poses)
-    return FitResult(out, found, session.recording.notices if session else ())
+    return FitResult(out, found, notices)
+
+
+def _learned(poses: PoseLog, options: FitOptions | None, smoothed: Smoother | None) -> tuple[Fit, PoseLog]:
+    """A fit, and the poses that it is of."""
+    poses = poses if smoothed is None else smoothed(poses)
+    return learn(poses, options or FitOptions()), poses
+
+
+def _chosen_by_tree(session: Session, tree: KinematicTree) -> tuple[PoseLog, str] | None:
+    """The poses with ambiguous ones turned as the tree says, and how many; None if it turns none."""
+    from station.kinematic_choice import choose_by_tree
+
+    choice = choose_by_tree(session.tracked, tree)
+    turned = int(np.count_nonzero(choice.chosen != session.tracked.choice.chosen))
+    if not turned:
+        return None
+    poses = replace(session.tracked, choice=choice).poses
+    return poses, f"{turned} ambiguous poses of markers seen from the front were turned over to agree with the tree"
 
 
 def _named_by_commands(found: Fit, recording: Recording) -> Fit:
@@ -358,7 +397,8 @@ def _compare(session: Path, commands: Path | None) -> tuple[Comparison, Recordin
         commanded, measured = recording.commanded, recording.measured
         if not commanded.joints:
             raise StationError(
-                f"{session} has no recorded commands\ngive them with --commands FILE (t_s, then a column a joint)"
+                f"{session} has neither commands nor read-back: nothing to compare with\n"
+                "give commands with --commands FILE (t_s, then a column a joint)"
             )
     else:
         commanded, measured = read_commands(commands, tree.units), None
@@ -426,10 +466,15 @@ def _facts(session: Path, recording: Recording) -> dict[str, str]:
         "state": status.state,
         "started": about.started.isoformat(timespec="seconds"),
         **({"rig": rig} if rig else {}),
+        **({"moved": "by hand: compared with the read-back alone"} if _by_hand(recording) else {}),
         **({"seed": str(about.seed)} if about.seed is not None else {}),
         **counts,
         **about.versions,
     }
+
+
+def _by_hand(recording: Recording) -> bool:
+    return bool(len(recording.measured.t_s)) and not len(recording.commanded.t_s)
 
 
 def _lag_warnings(comparison: Comparison) -> tuple[str, ...]:

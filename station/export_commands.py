@@ -119,17 +119,18 @@ def _has_images(recording: Recording) -> bool:
 
 def _write_all(folder: Path, files: Mapping[str, Write]) -> tuple[Path, ...]:
     """Write files by name, all of them first under temporary names; a failure leaves what was there before."""
-    parts = {name: folder / f".{name}.part" for name in files}
+    made: dict[str, Path] = {}
     try:
         folder.mkdir(parents=True, exist_ok=True)
         for name, write in files.items():
-            with parts[name].open("wb") as file:
+            made[name] = folder / f".{name}.part"
+            with made[name].open("wb") as file:
                 write(file)
-        for name, part in parts.items():
+        for name, part in made.items():
             part.replace(folder / name)
     except OSError as error:
         raise StationError(f"can't write into '{folder}': {error.strerror or error}") from error
     finally:
-        for part in parts.values():
+        for part in made.values():
             part.unlink(missing_ok=True)
     return tuple(folder / name for name in files)

@@ -2,18 +2,30 @@
 
 from __future__ import annotations
 
-from drivers.errors import DriverError
+import json
+
 from station.capture import NS_PER_S, SERVO_RATE_HZ, CaptureCounts, FrameWorker, Progress
 from station.recording import RecordingWriter
 from station.releasing import Ask, release
 from station.rig import Rig
 
 
+def take_in_hand(rig: Rig, ask: Ask) -> None:
+    """Check the arm's servos, if there are any, and switch torque off, after it was asked where it is on.
+
+    Raises:
+        StationError: the person says no.
+        DriverError: a servo that isn't there, or isn't fit for use.
+    """
+    if rig.table.joint:
+        rig.arm.connect()
+        release(rig.arm, ask)
+
+
 class HandCapture:
-    """One capture by hand: from an open rig to a closed recording. An arm's torque is off, and nothing is commanded.
+    """One capture by hand: from a rig whose arm is limp to a closed recording. Nothing is written to a servo.
 
     Args:
-        ask: is told before torque that is on is switched off.
         duration_s: how long to record; until a KeyboardInterrupt if None, which is a normal end in either case.
     """
 
@@ -22,48 +34,42 @@ class HandCapture:
         rig: Rig,
         writer: RecordingWriter,
         *,
-        ask: Ask,
         duration_s: float | None = None,
         progress: Progress | None = None,
     ) -> None:
-        self._rig, self._writer, self._ask = rig, writer, ask
+        self._rig, self._writer = rig, writer
         self._duration_s, self._progress = duration_s, progress
-        self._readings = 0
+        self._readings = self._dropped_before = 0
         self._has_arm = bool(rig.table.joint)
 
     def run(self) -> CaptureCounts:
         """Record until the end.
 
         Raises:
-            StationError: the person says no, the recording can't be written.
+            StationError: the recording can't be written.
             DriverError: the bus or the camera fails; the recording is then closed as "interrupted".
         """
         worker = FrameWorker(self._rig, self._writer)
         state = "interrupted"
         try:
-            self._prepare()
+            if self._has_arm:
+                self._event("INFO", f"moved by hand, torque off: {', '.join(self._rig.arm.names)}")
+            self._event("INFO", f"camera: {json.dumps(dict(self._rig.camera.settings))}")
             with worker:
                 self._look_on(worker)
-            self._event("INFO", "arm left: released" if self._has_arm else "done")
             state = "complete"
-        except (DriverError, KeyboardInterrupt) as error:
+        except BaseException as error:
             self._event("ERROR", str(error) or type(error).__name__)
             raise
         finally:
             self._writer.close(state, self._counts(worker).as_dict())
         return self._counts(worker)
 
-    def _prepare(self) -> None:
-        if self._has_arm:
-            self._rig.arm.connect()
-            self._event("INFO", f"connected: {', '.join(self._rig.arm.names)}")
-            release(self._rig.arm, self._ask)
-            self._event("INFO", "torque is off: the arm is moved by hand")
-
     def _look_on(self, worker: FrameWorker) -> None:
         clock, camera = self._rig.clock, self._rig.camera
         while camera.read(clock.now_ns()) is not None:
             pass  # frames from before
+        self._dropped_before = camera.dropped
         start_ns, turn = clock.now_ns(), 0
         try:
             while self._duration_s is None or clock.now_ns() - start_ns < self._duration_s * NS_PER_S:
@@ -87,7 +93,7 @@ class HandCapture:
     def _counts(self, worker: FrameWorker) -> CaptureCounts:
         return CaptureCounts(
             frames=worker.recorded,
-            dropped_frames=worker.dropped + self._rig.camera.dropped,
+            dropped_frames=worker.dropped + self._rig.camera.dropped - self._dropped_before,
             stale_frames=self._rig.camera.stale,
             commands=0,
             readings=self._readings,

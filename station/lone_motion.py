@@ -12,6 +12,7 @@ from station.errors import InvalidData
 from station.logs import BoolArray, FloatArray, JointLog
 from station.motion import JointLimits
 from station.perception.observations import ObservationLog
+from station.perception.rolling_shutter import row_delay_s
 
 # To either side of the park pose, in deg or mm: markers stay in view, and a person's hand out of the way.
 SWING = {"rad": 15.0, "m": 10.0}
@@ -85,7 +86,7 @@ def lone_sweeps(
     """
     if not len(measured.t_s) or not len(observations):
         return []
-    t_s, px = _coordinates(observations, readout_s / height_px, height_px)
+    t_s, px = _coordinates(observations, readout_s, height_px)
     sweeps: list[Sweep] = []
     for joint, rows in _stretches(measured):
         readback_t_s, states = measured.t_s[rows], measured.state(joint)[rows]
@@ -95,12 +96,12 @@ def lone_sweeps(
     return sweeps
 
 
-def _coordinates(observations: ObservationLog, row_s: float, height_px: int) -> tuple[FloatArray, FloatArray]:
+def _coordinates(observations: ObservationLog, readout_s: float, height_px: int) -> tuple[FloatArray, FloatArray]:
     """Stamps and image coordinates (F, S) of all markers' corners; NaN where not seen."""
     ids, column = np.unique(observations.marker_id, return_inverse=True)
     px = np.full((len(observations.t_s), len(ids), 4, 2), np.nan)
     px[observations.frame, column] = observations.corners_px
-    later_s = np.nan_to_num(px[..., 1:] - (height_px - 1) / 2) * row_s
+    later_s = np.nan_to_num(row_delay_s(px[..., 1:], height_px, readout_s))
     t_s = observations.t_s[:, None, None, None] + np.broadcast_to(later_s, px.shape)
     return t_s.reshape(len(px), -1), px.reshape(len(px), -1)
 

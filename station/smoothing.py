@@ -1,15 +1,20 @@
-"""The paper's low-pass filter of the tracked poses (IV-B): zero phase, on positions and rotations.
+"""Smoothers of pose logs, by name: the paper's low-pass filter (IV-B) with zero phase, and a Kalman smoother on SE(3).
 
-It correlates the noise of neighbouring frames, so the result states no covariance; `--method station` doesn't smooth.
+Any smoothing correlates the noise of neighbouring frames; `--method station` doesn't smooth unless it is asked to. The
+low-pass states no covariance, the Kalman smoother does.
 """
 
 from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import butter, sosfiltfilt
 
 from station.errors import InvalidData
+from station.kalman import kalman_smooth
 from station.kinematics import se3
 from station.logs import FloatArray, PoseLog
 
@@ -52,3 +57,38 @@ def _runs(seen: NDArray[np.bool_]) -> list[NDArray[np.intp]]:
 def _smooth_run(T: FloatArray, sections: FloatArray) -> FloatArray:
     filtered = sosfiltfilt(sections, T[:, :3], axis=0)
     return se3.pose(se3.project_to_so3(filtered[:, :, :3]), filtered[:, :, 3])
+
+
+Smoother = Callable[[PoseLog], PoseLog]
+
+
+def _low_pass(value: float | None) -> Smoother:
+    if value is None:
+        raise InvalidData("smoother 'lowpass' needs its cut-off in Hz; want lowpass:HZ, such as lowpass:5")
+    return partial(smooth, cutoff_hz=value)
+
+
+def _kalman(value: float | None) -> Smoother:
+    return partial(kalman_smooth, fill_s=value or 0.0)
+
+
+# What makes a smoother of its one number, or of none.
+SMOOTHERS: dict[str, Callable[[float | None], Smoother]] = {"lowpass": _low_pass, "kalman": _kalman}
+
+
+def smoother(text: str) -> Smoother:
+    """The smoother that a text asks for: `lowpass:HZ` (its cut-off), `kalman`, or `kalman:S` (fills gaps up to S s).
+
+    Raises:
+        InvalidData: for another name, or what is no number of zero or more.
+    """
+    name, _, number = text.partition(":")
+    if name not in SMOOTHERS:
+        raise InvalidData(f"no smoother '{name}'; want lowpass:HZ, kalman, or kalman:S (fills gaps up to S seconds)")
+    try:
+        value = float(number) if number else None
+    except ValueError:
+        value = -1.0
+    if value is not None and not (0 <= value < np.inf):
+        raise InvalidData(f"smoother '{text}': want a number of zero or more after the colon, such as {name}:5")
+    return SMOOTHERS[name](value)

@@ -17,6 +17,7 @@ from station.perception.corners import Detections
 from station.perception.hypotheses import PoseHypotheses, estimate_hypotheses, part_of_row
 from station.perception.marker_tracker import MarkerTracker
 from station.perception.markers import MarkerTable
+from station.perception.neighbours import choose_by_neighbours
 from station.perception.observations import FrameMarkers, ObservationBuilder, ObservationLog
 from station.perception.pose import MarkerPoses, estimate_poses
 from station.perception.rolling_shutter import at_frame_time
@@ -115,7 +116,7 @@ def track_parts(
     if readout_s:
         observations, covariance_px2 = at_frame_time(observations, covariance_px2, camera.size_px[1], readout_s)
     hypotheses = estimate_hypotheses(observations, table, camera, covariance_px2, weight)
-    return TrackedParts(hypotheses, choose_over_time(hypotheses))
+    return TrackedParts(hypotheses, choose_by_neighbours(hypotheses, choose_over_time(hypotheses)))
 
 
 def estimate_pose_log(

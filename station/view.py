@@ -51,13 +51,14 @@ def session_blueprint(joints: Sequence[str]) -> rrb.Blueprint:
     image = rrb.Spatial2DView(name="camera", origin=f"/{layout.IMAGE}", contents="$origin/**")
     log = rrb.TextLogView(name="log", origin=f"/{layout.EVENTS}")
     seen = rrb.Horizontal(space, image)
-    below = rrb.Horizontal(_joint_views(joints), log, column_shares=[5, 2]) if joints else log
+    # Without commanded joints too: a fit's states come into the same view.
+    below = rrb.Horizontal(_joint_views(joints), log, column_shares=[5, 2])
     time_panel = rrb.TimePanel(timeline=layout.ELAPSED, state="collapsed")
     return rrb.Blueprint(rrb.Vertical(seen, below), time_panel, collapse_panels=True)
 
 
 def _joint_views(joints: Sequence[str]) -> rrb.Tabs:
-    """All joints together, then each alone."""
+    """All joints together, then each alone, if they are known."""
     return rrb.Tabs(
         rrb.TimeSeriesView(name="joints", origin="/", contents=[f"/{entity}" for entity in JOINT_STATES]),
         # One more than there are joints stands for all that a fit names otherwise.

@@ -20,8 +20,9 @@ from drivers.camera_sources import is_stored, open_camera
 from drivers.clock import Clock, MonotonicClock, VirtualClock
 from drivers.errors import CameraError, CameraStalled, DamagedFrames
 from drivers.stored_frames import StoredFrames, VideoFile, open_stored_frames
-from station.calibration_files import clear_calibration
+from station.calibration_files import BOARD_FILE, clear_calibration
 from station.errors import InvalidData, InvalidFile
+from station.formats.board import format_board
 from station.formats.rig import RENDERED, RigTable
 from station.rig import frame_size, real_camera
 
@@ -170,6 +171,8 @@ def _from_camera(
     """Views until the set is complete, the person has had enough, or the camera has no more frames."""
     selector, images = ViewSelector(board), list[Image]()
     clear_calibration(folder.parent)
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder.parent / BOARD_FILE).write_text(format_board(board, measured=True), encoding="utf-8")
     end_ns = clock.now_ns() + round(LONGEST_S * NS_PER_S)
     number = 0
     while not (selector.complete or stop() or clock.now_ns() >= end_ns or len(selector.shots) >= MOST_VIEWS):

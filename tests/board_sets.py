@@ -83,17 +83,19 @@ def true_parameters(optics: CameraOptics) -> np.ndarray:
     return np.array([*optics.matrix[[0, 1], [0, 1]], *optics.matrix[:2, 2], *optics.distortion])
 
 
+# Images of sets in which nothing is found: they tell no more if they are more.
+SHOWN = 4
 BadSet = tuple[CharucoBoard, list[np.ndarray]]
 
 
 def _blurred(optics: CameraOptics, rng: np.random.Generator) -> BadSet:
-    return BOARD, rendered(replace(optics, blur_px=2.6), good_poses(optics, rng), 1)
+    return BOARD, rendered(replace(optics, blur_px=2.6), good_poses(optics, rng, SHOWN), 1)
 
 
 def _moving(optics: CameraOptics, rng: np.random.Generator) -> BadSet:
     renderer = BoardRenderer(BOARD, optics, 1)
     images: list[np.ndarray] = []
-    for k, pose in enumerate(good_poses(optics, rng)):
+    for k, pose in enumerate(good_poses(optics, rng, SHOWN)):
         moving = np.tile(pose, (5, 1, 1))
         moving[:, 0, 3] += np.linspace(-0.5, 0.5, 5) * 7.5 / optics.matrix[0, 0] * pose[2, 3]  # 7.5 px in the exposure
         images.append(renderer.render(moving, k))
@@ -109,11 +111,11 @@ BAD_SETS: dict[str, Callable[[CameraOptics, np.random.Generator], BadSet]] = {
     "four views": lambda optics, rng: (BOARD, rendered(optics, good_poses(optics, rng, 4), 1)),
     "described with other columns": lambda optics, rng: (
         replace(BOARD, columns=6, rows=9),
-        rendered(optics, good_poses(optics, rng), 1),
+        rendered(optics, good_poses(optics, rng, SHOWN), 1),
     ),
     "described with another dictionary": lambda optics, rng: (
         replace(BOARD, dictionary="DICT_4X4_100"),
-        rendered(optics, good_poses(optics, rng), 1),
+        rendered(optics, good_poses(optics, rng, SHOWN), 1),
     ),
     "described with larger markers": lambda optics, rng: (
         replace(BOARD, marker_m=0.02),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,8 +17,8 @@ from station.formats.poses_csv import format_poses_csv
 from station.formats.read import read_pose_log
 from station.kinematics import se3
 from station.logs import PoseLog
-from station.recording import Recording
-from tests.made_sessions import CAMERA, make_frames, make_session
+from station.recording import Recording, RecordingWriter
+from tests.made_sessions import CAMERA, START_NS, describe, log_frame, make_frames
 
 FRAMES = 8
 
@@ -34,7 +35,11 @@ def door_log() -> PoseLog:
 def inputs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with a session of an arm, a log of poses, its fit, and a camera."""
     folder = tmp_path_factory.mktemp("inputs")
-    make_session(folder / "session", make_frames(FRAMES))
+    with RecordingWriter(folder / "session", describe(rig=None), start_ns=START_NS) as writer:
+        for frame in make_frames(FRAMES):
+            unknown = np.full_like(frame.markers.corner_covariance_px2, np.nan)
+            log_frame(writer, replace(frame, markers=replace(frame.markers, corner_covariance_px2=unknown)))
+        writer.close("complete")
     (folder / "poses.csv").write_text(format_poses_csv(door_log()), "utf-8")
     write_fit(learn(door_log()), folder / "fit")
     (folder / "camera.toml").write_text(CAMERA, "utf-8")

@@ -252,3 +252,20 @@ def test_a_part_of_one_row_is_named_in_a_warning(fit: Run, tmp_path: Path):
     tree = tree_in(tmp_path / "out")
     assert [(joint["parent"], joint["child"]) for joint in tree["joints"]] == [("wall", "door")]
     assert ["lamp"] in tree["trees"]
+
+
+@pytest.mark.parametrize("smoother", ["lowpass:1", "kalman"])
+def test_poses_are_smoothed_when_asked(fit: Run, tmp_path: Path, smoother: str) -> None:
+    header, *rows = [f"{COLUMNS},std_m,std_rad", *(f"{row},0.001,0.01" for row in door(60))]
+    (tmp_path / "door.csv").write_text("\n".join([header, *rows]))
+    assert fit("door.csv", "--out", "plain")[0] == 0
+    assert fit("door.csv", "--out", "smooth", "--smooth", smoother)[0] == 0
+    plain, smooth = ((tmp_path / name / "joint_states.csv").read_text() for name in ("plain", "smooth"))
+    assert plain != smooth
+
+
+def test_a_smoother_that_there_is_not_is_an_error_with_the_choices(fit: Run, tmp_path: Path) -> None:
+    (tmp_path / "door.csv").write_text("\n".join([COLUMNS, *door()]))
+    code, err = fit("door.csv", "--out", "out", "--smooth", "median")
+    assert code == 1 and "lowpass:HZ" in err and "kalman" in err
+    assert len(err.strip().splitlines()) <= MAX_ERROR_LINES

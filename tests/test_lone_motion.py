@@ -67,9 +67,9 @@ def test_stretches_in_which_one_joint_moves_are_found_and_shared_motion_is_left_
     assert [sweep.joint for sweep in sweeps] == ["pan", "lift"]
     assert sweeps[0].readback_t_s[0] == 0 and 4.8 < sweeps[0].readback_t_s[-1] < 5.1
     assert 2.9 < sweeps[1].readback_t_s[0] < 3.2 and 7.8 < sweeps[1].readback_t_s[-1] < 8.1
-    # 100 px is 139.5 rows above the middle one: seen 5.8 ms earlier
+    # 100 px is 140 rows above the middle: seen 5.8 ms earlier
     assert sweeps[1].t_s[0, 0] - t_s[::2][np.searchsorted(t_s[::2], sweeps[1].readback_t_s[0] - 0.5)] == pytest.approx(
-        -139.5 / 480 * 0.02
+        -140 / 480 * 0.02
     )
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import socket
+import threading
 from pathlib import Path
 from typing import cast
 
@@ -11,12 +13,15 @@ import pytest
 from drivers.camera import Controls
 from drivers.clock import VirtualClock
 from drivers.errors import NoCamera
+from station.doctor.checkup import examine
+from station.doctor.finding import Verdict
 from station.emulated_arm import EmulatedArm
 from station.errors import InvalidFile
 from station.formats.rig import RigTable, load_calibration, parse_rig
 from station.rig import load_rig, open_rig, real_camera, rendered_camera
 from station.rig_reading import packaged
 from station.stage import SHUTTER_BANDS, Stage
+from tests.drivers.ip_camera import HEAD, IpCamera, jpeg, part
 from tests.drivers.videos import write_images
 
 DEMO = packaged("rigs", "demo").read_text(encoding="utf-8")
@@ -120,3 +125,22 @@ def test_a_moving_arm_leans_under_a_rolling_shutter():
     np.testing.assert_array_equal(*still)
     moved = [stage.render(states(stage, 3.0), 0).astype(int) for stage in (global_, rolling)]
     assert np.mean(np.abs(moved[0] - moved[1]) > 30) > 0.001
+
+
+def test_the_doctor_examines_an_ip_camera(tmp_path: Path):
+    def script(connection: socket.socket, leave: threading.Event) -> None:
+        connection.sendall(HEAD)
+        for k in range(10_000):
+            connection.sendall(part(jpeg(k)))
+            if leave.wait(1 / 40):
+                return
+
+    with IpCamera(script) as server:
+        text = DEMO.replace('source = "rendered"', f'source = "{server.address}"').replace("[640, 480]", "[64, 48]")
+        path = tmp_path / "arm.toml"
+        path.write_text(text)
+        found = {f.check: f for f in examine(str(path), folder=tmp_path).findings if f.where == "camera"}
+    assert found["opens"].found == "64x48 px"
+    assert found["stamps"].values["stamps"] == "at arrival, before decoding"
+    assert found["exposure"].verdict is Verdict.WARNING and "camera's own settings" in found["exposure"].mend
+    assert found["frame rate"].values["dropped"] == 0 and "fresh frames" not in found

@@ -157,7 +157,7 @@ def test_what_one_frame_leaves_open_many_decide() -> None:
 
 def test_frames_that_show_the_same_errors_count_once_for_those() -> None:
     still = watch(tilted(np.full(100, 20.0))[:, None], ONE, sigma_px=0.05)
-    moving = watch(tilted(np.linspace(0, 60, 100))[:, None], ONE, sigma_px=0.05)
+    moving = watch(tilted(np.linspace(20, 70, 100))[:, None], ONE, sigma_px=0.05)
     stated = total_covariance(still)
     weight = evidence_weights(still, stated)
     # However many looks there are at noise of 0.05 px, they tell no more than one at the 0.02 px of unseen errors.

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from station.cli.app import calibrate
-from station.cli.options import Force, Json, Realtime, RigArgument, Seed, Simulate, Yes
+from station.cli.options import Force, Json, Realtime, RigArgument, Seed, SessionArgument, Simulate, Yes
 from station.cli.show import asking, progress, say_next, table, warn
 
 if TYPE_CHECKING:
@@ -148,6 +148,51 @@ def servos(
     else:
         lines = (f"  zero = {zero.zero:<6} # servo {zero.servo_id}, {zero.joint}" for zero in result.zeros)
         say_next(f"put these into each [[joint.servo]] of {rig}, or use --write:", *lines)
+
+
+@calibrate.command()
+def scale(
+    session: SessionArgument,
+    axis_distance: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--axis-distance", metavar="JOINT,JOINT=MM", help="Known distance of two joints' axes; may be repeated."
+        ),
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Check the markers' size by known motion of the arm.
+
+    Of a fitted session: travels of prismatic joints against their read-back, and distances of axes that you know.
+    Angles don't tell a size. Exit code 1 if the lengths are off by more than 0.5 % and three standard deviations.
+    """
+    from station import arm_calibration
+
+    result = arm_calibration.scale_of(session, _distances(axis_distance or []))
+    if as_json:
+        lengths = [{"what": each.what, "ratio": each.ratio, "std": each.std} for each in result.lengths]
+        document = {"ratio": result.ratio, "std": result.std, "off": result.off, "verdict": result.verdict}
+        print(json.dumps({**document, "lengths": lengths}, allow_nan=False))
+    else:
+        rows = [[each.what, f"{each.ratio:.4f}", f"{each.std:.4f}"] for each in result.lengths]
+        table("Fitted over known lengths", [["length", "ratio", "std"], *rows])
+        print(result.verdict)
+    if result.off:
+        raise typer.Exit(1)
+
+
+def _distances(given: list[str]) -> dict[tuple[str, str], float]:
+    from station.errors import InvalidData
+
+    distances: dict[tuple[str, str], float] = {}
+    for text in given:
+        names, _, value = text.partition("=")
+        first, _, second = names.partition(",")
+        try:
+            distances[first.strip(), second.strip()] = float(value) / 1e3
+        except ValueError:
+            raise InvalidData(f"--axis-distance {text}: want two joints and mm, such as shoulder,elbow=140") from None
+    return distances
 
 
 def _pose(given: list[str]) -> dict[str, float]:

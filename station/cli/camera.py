@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 import select
+import shlex
 import sys
+import textwrap
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -21,6 +23,8 @@ if TYPE_CHECKING:
     from calibration.view_selection import ViewSelector
     from station.camera_commands import Calibrated, Progress
 
+TAKEN = "TAKEN"
+COLUMNS = 80
 # How many corners a cell of the image has, in characters.
 SHADES = ((0, "  "), (1, ".."), (4, "::"), (10, "##"))
 
@@ -68,7 +72,7 @@ def camera(
         measured_mm = _ask_ruler()
     ruler = None if measured_mm is None else camera_commands.parse_ruler(measured_mm)
     printed, size_px = camera_commands.require_measured(found, ruler), _size(size)
-    with _wizard() as wizard:
+    with _saying_what_is_left(out), _wizard() as wizard:
         done = camera_commands.calibrate_camera(
             source, printed, out, rig=rig, size_px=size_px, fps=fps, force=force,
             on_look=wizard.show, stop=wizard.wants_end, say=wizard.stage,
@@ -78,6 +82,18 @@ def camera(
     _show(done, as_json)
     if done.calibration.verdict.grade.word == "bad":
         raise typer.Exit(1)
+
+
+@contextmanager
+def _saying_what_is_left(out: Path) -> Iterator[None]:
+    """After a signal, tell of the views that a live camera gave."""
+    try:
+        yield
+    except (KeyboardInterrupt, SystemExit):
+        if (out / "views").is_dir() and not (out / "camera.toml").exists():
+            views = shlex.quote(str(out / "views"))
+            say_next(f"stopped; calibrate with the views so far: station calibrate camera {views} --out {out} --force")
+        raise
 
 
 def _ask_ruler() -> str:
@@ -127,11 +143,11 @@ def wizard_lines(progress: Progress) -> list[str]:
     """The wizard's screen as lines of at most 80 columns."""
     selector, look = progress.selector, progress.look
     count = f"frame {progress.frame}" + ("" if progress.frames is None else f" of {progress.frames}")
-    lines = [f"{len(selector.shots)} views, {count}", *cover_lines(selector), f"now:  {_now(progress)}"]
-    advice = selector.advice()
-    lines.append(f"next: {advice}" if advice else "next: nothing more is wanted")
-    lines.append("TAKEN" if look.taken else "")
-    return [line[:80] for line in lines]
+    advice = selector.advice() or "nothing more is wanted"
+    lines = [f"{len(selector.shots)} views, {count}", *cover_lines(selector)]
+    for label, words in (("now:  ", _now(progress)), ("next: ", advice)):
+        lines += textwrap.wrap(words, COLUMNS, initial_indent=label, subsequent_indent=" " * len(label))
+    return [*lines, TAKEN if look.taken else ""]
 
 
 def _now(progress: Progress) -> str:
@@ -170,7 +186,7 @@ def _wizard() -> Iterator[Wizard]:
     with Live(console=console, refresh_per_second=8, transient=False) as live:
 
         def draw(lines: list[str]) -> None:
-            if lines[-1] == "TAKEN":
+            if lines[-1] == TAKEN:
                 console.bell()
             live.update(Text("\n".join(lines)))
 
@@ -184,7 +200,7 @@ def _show(done: Calibrated, as_json: bool) -> None:
     if as_json:
         print(json.dumps({"camera": str(done.camera_file), **result_document(result)}, allow_nan=False))
     else:
-        table(f"{done.camera_file}: {result.verdict.grade.word}", _rows(result))
+        table(f"{done.camera_file.name}: {result.verdict.grade.word}", _rows(result))
         print(_summary(result))
         for remark in result.verdict.remarks:
             print(f"{remark.grade.word}: {remark.what}\n  {remark.do}")

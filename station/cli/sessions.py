@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import signal
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -107,6 +108,8 @@ def capture(
         raise typer.BadParameter("want a motion, or --hand" if not hand else "want a motion or --hand, not both")
     if duration_s is not None and not hand:
         raise typer.BadParameter("--duration-s goes with --hand; a motion lasts as long as it does")
+    if hand:
+        signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background job has it ignored
     settings: dict[str, Any] = {"seed": seed, "simulate": simulate, "realtime": realtime, "force": force}
     with saying_what_is_left(out), progress() as bar:
         bar.stage("by hand" if hand else "capture")
@@ -145,6 +148,15 @@ def fit(
     include_reference: Annotated[
         bool, typer.Option("--include-reference", help="Take the frame of the poses for a static part.")
     ] = False,
+    smooth: Annotated[
+        str | None,
+        typer.Option(
+            "--smooth",
+            help="Smooth the poses first: lowpass:HZ, kalman, or kalman:S (fills gaps up to S s). "
+            "It correlates their noise: stated deviations get too small.",
+            show_default=False,
+        ),
+    ] = None,
     force: Force = False,
     as_json: Json = False,
 ) -> None:
@@ -164,7 +176,7 @@ def fit(
         root=root,
         include_reference=include_reference,
     )
-    result = commands.fit(source, out, options=options, force=force)
+    result = commands.fit(source, out, options=options, smooth=smooth, force=force)
     if as_json:
         print((result.folder / TREE_FILE).read_text(encoding="utf-8"))
     else:
@@ -236,11 +248,13 @@ def _show_comparison(comparison: Comparison, as_json: bool) -> None:
     if as_json:
         print(comparison_json(comparison))
         return
-    table("Detected against read-back and command, after sign and offset only", summary_rows(comparison))
+    told = not comparison.joints or any(joint.against_commanded is not None for joint in comparison.joints)
+    against = "read-back and command" if told else "read-back (there are no commands)"
+    table(f"Detected against {against}, after sign and offset only", summary_rows(comparison))
     for name in comparison.unmatched_commanded:
         warn(f"{name}: no detected joint follows it")
     for name in comparison.unmatched_fitted:
-        warn(f"{name}: detected, but follows no command")
+        warn(f"{name}: detected, but follows no joint of the arm")
 
 
 def _show_tree(tree: KinematicTree) -> None:

@@ -24,11 +24,13 @@ from station.emulated_arm import EmulatedArm
 from station.errors import InvalidFile
 from station.formats.rig import EMULATED, RENDERED, RigTable, load_calibration
 from station.formats.simulation import SimulationTable
+from station.hand_motion import HandMovedObject
 from station.perception.jpeg import encode_jpeg
 from station.rig import frame_size, real_camera, rendered_camera, virtual_reply_timeout_s
 from station.rig_reading import read_rig
 from station.stage import Stage
 
+NO_ARM = Finding("servos", "answer", Verdict.OK, "the rig has none: what people move is recorded with --hand")
 NOT_ASKED = Finding("servos", "answer", Verdict.BLOCKS, "not asked: the port can't be used")
 
 
@@ -82,7 +84,7 @@ def examine(
         say("servos")
         port = bench.port_findings()
         # A port that another program uses isn't disturbed.
-        report = BusReport([NOT_ASKED]) if blocks(port) or not table.joint else bench.examine_bus(fixes)
+        report = BusReport([NOT_ASKED]) if blocks(port) else bench.examine_bus(fixes)
         findings += port + report.findings
         say("camera")
         watched = bench.watch(calibration)
@@ -105,7 +107,7 @@ class _Bench:
         self._rendered = table.simulation is not None and (simulate or table.camera.source == RENDERED)
         if simulate and table.simulation is None:
             raise InvalidFile(f"{rig} has no [simulation]: it can't run without its hardware")
-        virtual = self._emulated and self._rendered
+        virtual = self._rendered and (self._emulated or not table.joint)
         self._clock: Clock = VirtualClock() if virtual else MonotonicClock()
         self._timeout_s = virtual_reply_timeout_s(table.simulation) if virtual else None
         self._arm: EmulatedArm | None = None
@@ -124,6 +126,8 @@ class _Bench:
 
     def examine_bus(self, fixes: Sequence[str]) -> BusReport:
         """Of the servos; the port is opened and closed."""
+        if not self._table.joint:
+            return BusReport([NO_ARM])
         latency_ms = read_latency_ms(self._port, self._system.sys) or DEFAULT_LATENCY_MS
         wire = Wire(self._port, self._clock, latency_ms / 1000, self._timeout_s)
         return examine_bus(wire, self._table, self._rig, fixes)
@@ -150,17 +154,18 @@ class _Bench:
                 return real_camera(table, self._clock), nothing
             except CameraError as error:
                 return None, Finding("camera", "opens", Verdict.BLOCKS, "it can't be opened", str(error))
-        if self._arm is None:
+        if self._arm is None and table.joint:
             mend = 'set port = "emulated", or the source of a real camera'
             return None, Finding("camera", "opens", Verdict.BLOCKS, "a rendered camera can't see a real arm", mend)
         if calibration is None:
             return None, nothing
-        return self._rendered_camera(simulation, calibration, self._arm), nothing
+        return self._rendered_camera(simulation, calibration), nothing
 
-    def _rendered_camera(self, simulation: SimulationTable, calibration: CameraModel, arm: EmulatedArm) -> Camera:
+    def _rendered_camera(self, simulation: SimulationTable, calibration: CameraModel) -> Camera:
         stage = Stage(self._table, simulation, calibration, simulation.seed)
+        moved = self._arm or HandMovedObject(len(stage.joints), None, self._clock.now_ns())
         virtual = isinstance(self._clock, VirtualClock)
-        return rendered_camera(self._table, simulation.camera, stage, arm, self._clock, realtime=not virtual)
+        return rendered_camera(self._table, simulation.camera, stage, moved, self._clock, realtime=not virtual)
 
 
 def _calibration(table: RigTable, path: Path) -> tuple[CameraModel | None, list[Finding]]:

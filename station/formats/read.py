@@ -1,8 +1,9 @@
-"""Reads logs from a path: of a pose log the file's ending and its first line choose the importer."""
+"""Reads logs from a path. The one place to add an importer of pose logs is `IMPORTERS`, below."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
 
@@ -20,6 +21,31 @@ from station.formats.tum import parse_tum, parse_tum_files
 from station.logs import JointLog, PoseLog
 
 WORDS_ENDINGS = (".log", ".txt", ".tum")
+
+
+@dataclass(frozen=True)
+class Importer:
+    """One form of pose log in a text file.
+
+    Attributes:
+        name: for people.
+        endings: of the files that may have this form.
+        fits: whether a text with such an ending is of this form, as its first line says.
+        parse: the log in a text, given also the file's name; raises InvalidFile with the row that is wrong.
+    """
+
+    name: str
+    endings: tuple[str, ...]
+    fits: Callable[[str], bool]
+    parse: Callable[[str, str], PoseLog]
+
+
+IMPORTERS: tuple[Importer, ...] = (
+    Importer("poses.csv", (".csv",), lambda text: "part" in read_header(text), parse_poses_csv),
+    Importer("legacy ArUco", (".csv",), lambda text: "id" in read_header(text), parse_legacy_aruco),
+    Importer("TUM", WORDS_ENDINGS, lambda text: count_words(text) == len(TUM_COLUMNS), parse_tum),
+    Importer("track", WORDS_ENDINGS, lambda text: count_words(text) in (3, 7), parse_track),
+)
 READABLE = (
     f"can read .csv with {','.join(POSES_COLUMNS)}",
     f"or with {','.join(LEGACY_COLUMNS)} (legacy ArUco);",
@@ -47,12 +73,7 @@ def read_pose_log(path: str | PathLike[str], *others: str | PathLike[str]) -> Po
         if not files:
             raise _unreadable(path.name, f"is a folder without {', '.join(WORDS_ENDINGS)} files")
         return _read_tum_files(files, path.name)
-    text, ending = read_text(path, "pose log"), path.suffix.lower()
-    if ending == ".csv":
-        return _parse_csv(text, path.name)
-    if ending in WORDS_ENDINGS:
-        return _parse_words(text, path.name)
-    raise _unreadable(path.name, f"ends in '{ending}'" if ending else "has no ending")
+    return _importer_of(text := read_text(path, "pose log"), path).parse(text, path.name)
 
 
 def read_commands(path: str | PathLike[str], units: Mapping[str, str] | None = None) -> JointLog:
@@ -69,22 +90,27 @@ def read_commands(path: str | PathLike[str], units: Mapping[str, str] | None = N
     return parse_commands(read_text(path, "commands"), path.name, units)
 
 
-def _parse_csv(text: str, name: str) -> PoseLog:
+def _importer_of(text: str, path: Path) -> Importer:
+    """The one importer that a file's ending and first line ask for; raises InvalidFile where none or several do."""
+    ending = path.suffix.lower()
+    possible = [importer for importer in IMPORTERS if ending in importer.endings]
+    if not possible:
+        raise _unreadable(path.name, f"ends in '{ending}'" if ending else "has no ending")
+    fitting = [importer for importer in possible if importer.fits(text)]
+    if not fitting:
+        raise _unreadable(path.name, _first_line(text, ending))
+    if len(fitting) > 1:
+        names = " or ".join(importer.name for importer in fitting)
+        raise _unreadable(path.name, f"may be {names}: it {_first_line(text, ending)}; leave the columns of one")
+    return fitting[0]
+
+
+def _first_line(text: str, ending: str) -> str:
+    if ending in WORDS_ENDINGS:
+        words = count_words(text)
+        return f"has {words} numbers in its first row" if words else "is empty"
     header = read_header(text)
-    if "part" in header:
-        return parse_poses_csv(text, name)
-    if "id" in header:
-        return parse_legacy_aruco(text, name)
-    raise _unreadable(name, f"has the columns {','.join(header)[:80]}" if header else "is empty")
-
-
-def _parse_words(text: str, name: str) -> PoseLog:
-    words = count_words(text)
-    if words == len(TUM_COLUMNS):
-        return parse_tum(text, name)
-    if words in (3, 7):
-        return parse_track(text, name)
-    raise _unreadable(name, f"has {words} numbers in its first row" if words else "is empty")
+    return f"has the columns {','.join(header)[:80]}" if header else "is empty"
 
 
 def _read_tum_files(paths: list[Path], name: str) -> PoseLog:

@@ -128,6 +128,29 @@ def _typical_steps(turn: FloatArray, noise: FloatArray, dt_s: FloatArray, both: 
     return steps
 
 
+def choose_by_prediction(
+    hypotheses: PoseHypotheses, before: Choice, R_predicted: FloatArray, spread: FloatArray
+) -> Choice:
+    """Ambiguous choices made anew, by where something else says that the parts are turned to; the others stay.
+
+    Args:
+        hypotheses: the candidates.
+        before: the choice so far.
+        R_predicted: rotations (F, K, 3, 3) in the camera, or (F, K, 2, 3, 3), one to compare each candidate with; NaN
+            where there is no prediction: the choice stays there.
+        spread: (F, K, 3, 3) or (F, K, 2, 3, 3) covariances of them, of the right perturbation [rad].
+    """
+    if R_predicted.ndim == 4:
+        R_predicted, spread = R_predicted[:, :, None], spread[:, :, None]
+    error = se3.log_so3(np.swapaxes(R_predicted, -1, -2) @ hypotheses.T_cam_part[..., :3, :3])
+    closeness = student_log_density(error, spread + hypotheses.covariance[..., 3:, 3:])
+    known = np.isfinite(closeness[..., 0])
+    log_odds = hypotheses.log_likelihood + np.where(np.isnan(closeness), -np.inf, closeness)
+    anew = _choice(hypotheses, np.where(known[..., None], log_odds, 0.0))
+    change = before.ambiguous & known
+    return Choice(np.where(change, anew.chosen, before.chosen), np.where(change, anew.probability, before.probability))
+
+
 def chosen_poses(hypotheses: PoseHypotheses, choice: Choice) -> PoseLog:
     """The chosen candidates as a log; where a choice is not certain its covariance has the other candidate added."""
     at = (*np.indices(choice.chosen.shape), choice.chosen)

@@ -28,7 +28,9 @@ MANY_STEPS = 60
 FIRST_DAMPING = 1e-5  # share of the normal matrix's diagonal that is added to it
 DAMPING_FACTOR = 10.0
 LARGEST_DAMPING = 1e6
-SMALL_GAIN = 1e-4  # a step that promises less than this, in squared standard deviations, is the last one
+# A step that promises less than this, in squared standard deviations, is the last one: the pose is then right to some
+# 3 % of its deviation. Of errors beyond chance, as the wrong pose of a square has them, a share counts as much.
+SMALL_GAIN = 1e-3
 # What points of unknown covariance are taken to have; it is their relative weights that count.
 NOMINAL_SIGMA_PX = 0.05
 
@@ -174,7 +176,8 @@ def solve_poses(sights: Sights, start: FloatArray, *, most_steps: int = MANY_STE
         normal[kept], gradient[kept], chi2[kept] = (values[better] for values in tried)
         damping[active] *= np.where(better, 1 / DAMPING_FACTOR, DAMPING_FACTOR)
         gain = -np.sum(step * slope, axis=-1)
-        active = active[(gain >= SMALL_GAIN) & (damping[active] <= LARGEST_DAMPING)]
+        going_on = gain >= SMALL_GAIN * np.maximum(chi2[active], 1.0)
+        active = active[going_on & (damping[active] <= LARGEST_DAMPING)]
     settled = np.isfinite(chi2)
     settled[active] = False
     return _solved(sights, R, t, normal, chi2, settled)

@@ -23,8 +23,9 @@ UNIT_CORNERS = np.array([[-0.5, 0.5, 0.0], [0.5, 0.5, 0.0], [0.5, -0.5, 0.0], [-
 
 # A pose with an RMS error above this share of the marker's size in the image is none: what was seen is no square.
 FAILED_SHARE = 0.2
-# Two solutions closer than this, in squared standard deviations, are one: noise has merged the two minima of the error.
-SAME_SQUARED = 0.01
+# Two solutions closer than this, in squared standard deviations, are one: noise has merged the two minima of the error,
+# or nothing that matters is between them.
+SAME_SQUARED = 0.25
 # A covariance is taken with its marker turned to the front by this many standard deviations of the tilt.
 FRONT_TURN_SIGMAS = 1.5
 # Determinant of an information matrix, its diagonal scaled to ones, below which it is singular: some direction of the

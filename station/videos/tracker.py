@@ -144,7 +144,10 @@ class _Sample:
 
 def _what_is_there(video: Video, table: MarkerTable, others: set[int], sample: list[Image]) -> str:
     if not sample:
-        return f"none of its {video.frames_seen} frames has a time stamp"
+        return (
+            f"none of its {video.frames_seen} frames has a time stamp\n"
+            "give their rate with --fps, or the time of each with --timestamps (frame,t_s; frames count from 0)"
+        )
     wanted = _ids(sorted(marker.id for marker in table.markers))
     if others:
         return (

@@ -67,3 +67,20 @@ def test_a_camera_is_frozen_and_its_own() -> None:
 def test_what_is_no_camera_is_refused(changes: dict[str, object], message: str) -> None:
     with pytest.raises(CalibrationError, match=message):
         camera(**changes)
+
+
+def test_a_scaled_camera_sees_the_same_picture_at_another_size() -> None:
+    camera = CameraModel(
+        size_px=(1280, 720),
+        matrix=np.array([[900.0, 0, 640.5], [0, 910, 350.25], [0, 0, 1]]),
+        distortion=np.array([0.1, -0.2, 1e-3, -2e-3, 0.01]),
+        rms_px=0.4,
+        edge_shift_px=-0.3,
+        matrix_std=np.array([[2.0, 0, 1], [0, 2, 1], [0, 0, 0]]),
+    )
+    half = camera.scaled_to((640, 360))
+    points = np.random.default_rng(0).uniform((-0.4, -0.2, 0.8), (0.4, 0.2, 1.2), (50, 3))
+    # Pixel (0, 0) is the middle of the top-left pixel: the picture's own corner is at (-0.5, -0.5) at any size.
+    np.testing.assert_allclose(project(half, points), (project(camera, points) + 0.5) / 2 - 0.5, atol=1e-9)
+    assert (half.size_px, half.rms_px, half.edge_shift_px) == ((640, 360), 0.2, None)
+    np.testing.assert_allclose(half.matrix_std, camera.matrix_std / 2)

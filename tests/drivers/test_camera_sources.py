@@ -10,7 +10,7 @@ from drivers.addresses import without_secrets
 from drivers.camera import Camera, Controls
 from drivers.camera_sources import is_stored, open_camera
 from drivers.clock import MonotonicClock
-from drivers.errors import NoCamera, SettingRefused
+from drivers.errors import CameraLost, NoCamera, SettingRefused
 from drivers.live_camera import LiveCamera
 from drivers.stored_camera import StoredCamera
 from tests.drivers.ip_camera import HEAD, IpCamera, jpeg, part, sends
@@ -80,3 +80,25 @@ def test_only_cameras_of_this_machine_take_settings(source: str) -> None:
 )
 def test_user_names_passwords_and_tokens_are_taken_out(text: str, seen: str) -> None:
     assert without_secrets(text) == seen
+
+
+def test_other_addresses_go_through_opencv_with_our_own_time_limits(tmp_path: Path) -> None:
+    """As a stand-in for rtsp://, which nothing here serves: the same back end, the same parameters."""
+    path = write_video(tmp_path / "v.avi", frames=5)
+    camera = opened(f"file://{path}")
+    assert isinstance(camera, LiveCamera)
+    camera.start()
+    assert (camera.settings["backend"], camera.size_px) == ("FFMPEG", SIZE)
+    levels: list[int] = []
+    with pytest.raises(CameraLost, match=r"the stream ended"):
+        while frame := camera.read(10**18):
+            levels.append(round(frame.image.mean() / 10))
+    assert levels == [0, 1, 2, 3, 4]
+    camera.close()
+
+
+def test_an_address_that_nobody_serves_is_no_camera_and_no_chatter(capfd: pytest.CaptureFixture[str]) -> None:
+    camera = opened("rtsp://me:mine@127.0.0.1:9/video")
+    with pytest.raises(NoCamera, match=r"camera 'rtsp://127.0.0.1:9/video' can't be opened"):
+        camera.start()
+    assert capfd.readouterr() == ("", "")

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from drivers.errors import CameraError, DamagedFrames, NoCamera, NoFrames, WrongSize
-from drivers.stored_frames import StoredFrame, natural_order, open_stored_frames
+from drivers.stored_frames import StoredFrame, decode_image, natural_order, open_stored_frames
 from tests.drivers.videos import FRAMES, SIZE, flat, textured, write_images, write_video
 
 # Grey levels. Lossy codecs at OpenCV's default quality keep a flat image within this.
@@ -182,3 +182,18 @@ def test_a_picture_that_says_turn_me_is_left_as_the_sensor_took_it(tmp_path: Pat
     (tmp_path / "turned.jpg").write_bytes(turned)
     assert cv2.imread(str(tmp_path / "turned.jpg")).shape == (64, 48, 3)  # OpenCV on its own turns it
     assert open_stored_frames(tmp_path).size_px == SIZE
+
+
+def decoded(data: bytes) -> np.ndarray | None:
+    return decode_image(np.frombuffer(data, dtype=np.uint8))
+
+
+def test_a_picture_that_is_not_whole_is_none() -> None:
+    whole = cv2.imencode(".jpg", flat(3))[1].tobytes()
+    image = decoded(whole + b"\0\0\r\n")  # as some cameras fill up
+    assert image is not None
+    np.testing.assert_allclose(image, 30, atol=LOSSY_GREY)
+    rich = cv2.imencode(".jpg", textured(0, (640, 480)))[1].tobytes()
+    for data in (whole, rich):
+        for end in np.linspace(0, len(data) - 1, 50).astype(int):
+            assert decoded(data[:end]) is None

@@ -198,10 +198,9 @@ def test_a_stamp_that_comes_again_is_stale_whatever_it_shows(live: Live) -> None
 
 def test_a_frozen_camera_has_stalled_and_the_error_says_frozen(device: Path) -> None:
     live = Live(frames=400, source=str(device))
-    live.capture.again = set(range(1, 400))
-    live.camera.start()
     live.capture.retrieve = lambda: (True, np.zeros((SIZE[1], SIZE[0], 3), np.uint8))
-    with pytest.raises(CameraStalled, match=r"no new frame for 1 s, after \d frames; the same picture came \d+ times"):
+    live.camera.start()
+    with pytest.raises(CameraStalled, match=r"no new frame for 1 s, after 1 frames; the same picture came \d+ times"):
         while live.camera.read(3_600_000 * MS):
             pass
     live.camera.close()
@@ -222,10 +221,11 @@ def test_a_camera_that_falls_silent_has_stalled(device: Path) -> None:
 
 def test_a_camera_may_take_seconds_for_its_first_frame(device: Path) -> None:
     live = Live(frames=0, source=str(device))
+    live.capture.silence = lambda: time.sleep(0.001)
     live.camera.start()
-    assert live.camera.read(4_900 * MS) is None
     with pytest.raises(CameraStalled, match="no new frame for 5 s, after 0 frames"):
         live.camera.read(3_600_000 * MS)
+    assert live.clock.now_ns() >= 5_000 * MS
     live.camera.close()
 
 
@@ -348,9 +348,10 @@ def test_another_size_is_refused(device: Path) -> None:
 
 
 def test_a_frame_of_another_size_on_the_way_is_an_error(live: Live) -> None:
+    good = live.capture.retrieve
+    live.capture.retrieve = lambda: good() if live.capture.left >= 4 else (True, np.zeros((24, 32, 3), np.uint8))
     live.camera.start()
-    live.capture.retrieve = lambda: (True, np.zeros((24, 32, 3), np.uint8))
-    with pytest.raises(WrongSize, match=r"frame \d: it gives 32x24 px; want 64x48"):
+    with pytest.raises(WrongSize, match=r"frame 4: it gives 32x24 px; want 64x48"):
         while live.camera.read(3_600_000 * MS):
             pass
 

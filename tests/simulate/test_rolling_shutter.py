@@ -11,6 +11,7 @@ import pytest
 from station.errors import InvalidData
 from station.logs import FloatArray
 from station.perception.corners import MarkerDetector
+from station.simulate import render
 from station.simulate.render import CameraOptics
 from station.stage import SHUTTER_BANDS
 from tests.simulate.test_render import (
@@ -143,6 +144,25 @@ def test_bands_meet_without_a_seam_whatever_the_height() -> None:
         assert image.shape == (height, 64, 3)
         levels = image.reshape(-1, 3).astype(int)
         assert np.all(levels[:, 2] > 2 * levels[:, 0])  # orange, no row of wall
+
+
+def test_regions_of_interest_cut_nothing_of_what_moves_fast(monkeypatch: pytest.MonkeyPatch) -> None:
+    camera = optics((160, 120), 120.0, WEBCAM)
+    rng = np.random.default_rng(6)
+    scenes: list[FloatArray] = []
+    for _ in range(25):
+        at, turn, step, roll = rng.uniform((-0.2, -0.2, 0.2), (0.2, 0.2, 0.6)), *rng.normal(size=(3, 3))
+        scenes.append(np.array([[[pose(at + 0.01 * k * step, turn + 0.03 * k * roll)] for k in range(5)]]))
+    parts = [plate()], [box((0.08, 0.08, 0.05))]
+    cut = [renderer(*parts, camera).render(scene, 0) for scene in scenes]
+
+    def whole_image(T_cam_quad: FloatArray, *_: object) -> np.ndarray:
+        return np.tile(np.array([0, 0, 160, 120]), (len(T_cam_quad), 1))
+
+    monkeypatch.setattr(render, "regions", whole_image)
+    for scene, image in zip(scenes, cut, strict=True):
+        uncut = renderer(*parts, camera).render(scene, 0)
+        np.testing.assert_array_equal(uncut, image)
 
 
 def test_poses_of_other_shapes_are_refused() -> None:

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+import re
+import shlex
+import shutil
 import signal
 import subprocess
 import sys
@@ -19,6 +22,7 @@ from station.commands import load_session
 from station.errors import InvalidFile
 from station.formats.camera import format_camera
 from station.formats.camera_files import format_camera_opencv, format_camera_ros
+from station.formats.exporters import EXPORTERS, WHAT
 from station.formats.markers import format_markers
 from station.kinematics import se3
 from station.perception.markers import Marker, MarkerTable
@@ -358,9 +362,9 @@ def test_a_mirrored_video_is_said_to_be(track: Run, tmp_path: Path) -> None:
 
 
 def test_a_video_without_markers_is_refused(track: Run, tmp_path: Path) -> None:
-    noise = np.random.default_rng(0).integers(0, 255, (10, 480, 640, 3), dtype=np.uint8)
+    noise = np.random.default_rng(0).integers(0, 255, (4, 480, 640, 3), dtype=np.uint8)
     code, _, err = track(video=write_video(tmp_path / "v.avi", list(noise)))
-    assert code == 1 and is_one_clear_error(err) and "no markers in 10 frames" in err
+    assert code == 1 and is_one_clear_error(err) and "no markers in 4 frames" in err
     assert not (tmp_path / "s").exists()
 
 
@@ -424,6 +428,46 @@ def test_of_a_size_that_nothing_contradicts_nothing_is_said(track: Run, tmp_path
     video = write_video(tmp_path / "v.avi", images(plates, 30))
     code, _, err = track(video=video, markers=write_markers(tmp_path, scene.table))
     assert code == 0 and "warning" not in err
+
+
+# --- The page about it ---
+
+
+def test_the_commands_of_the_videos_page_work(
+    station: Run, filmed: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    page = (Path(__file__).parents[2] / "docs" / "videos.md").read_text("utf-8")
+    (markers,) = re.findall(r"```toml\n(.*?)```", page, re.DOTALL)
+    (tmp_path / "markers.toml").write_text(markers, "utf-8")
+    (tmp_path / "phone.yaml").write_text(format_camera_opencv(CAMERA), "utf-8")
+    shutil.copy(filmed / "camera.toml", tmp_path)
+    shutil.copy(filmed / "cabinet.avi", tmp_path / "cupboard.mp4")  # what is in a file is told by its content
+    monkeypatch.chdir(tmp_path)
+    lines = [line for block in re.findall(r"```sh\n(.*?)```", page, re.DOTALL) for line in block.splitlines()]
+    assert len(lines) == 10
+    for line in lines:
+        name, *arguments = shlex.split(line, comments=True)
+        assert name == "station"
+        if arguments[0] == "view":  # needs a screen
+            continue
+        code, out, err = station(*arguments)
+        assert code == 0, err
+        if arguments[0] == "track":
+            (shown,) = re.findall(r"```text\n(.*?)```", page, re.DOTALL)
+            words = [[word for word in row.split() if not word[0].isdecimal()] for row in shown.splitlines()]
+            assert words == [[word for word in row.split() if not word[0].isdecimal()] for row in out.splitlines()]
+
+
+def test_the_formats_of_the_videos_page_are_those_there_are() -> None:
+    page = (Path(__file__).parents[2] / "docs" / "videos.md").read_text("utf-8")
+    table = page[page.index("| `--format` |") :].split("\n\n")[0]
+    rows = [line.split("|") for line in table.splitlines()[2:]]
+    shown = {
+        name: set(re.findall(r"`(\w+)`", row[3])) & set(WHAT) for row in rows for name in re.findall(r"\w+", row[1])
+    }
+    assert shown.pop("parquet") == set()  # "as CSV"
+    assert shown == {e.format: set(e.what) for e in EXPORTERS if e.format != "parquet"}
+    assert {e.format: e.what for e in EXPORTERS}["parquet"] == {e.format: e.what for e in EXPORTERS}["csv"]
 
 
 # --- Signals ---------------------------------------------------------------------------------------------------------
