@@ -165,8 +165,9 @@ def fit_lines(span_px: FloatArray, place_px: FloatArray, weight: FloatArray) -> 
         place_px, weight: (M, 4, P) of the profiles; NaN where none has weight.
     """
     powers = _powers(place_px.shape[-1])
-    w, wx, wxx = np.moveaxis(weight @ powers, -1, 0)
-    wy, wxy = np.moveaxis((weight * place_px) @ powers[:, :2], -1, 0)
+    sums, products = weight @ powers, (weight * place_px) @ powers[:, :2]
+    w, wx, wxx = sums[..., 0], sums[..., 1], sums[..., 2]
+    wy, wxy = products[..., 0], products[..., 1]
     det = w * wxx - wx * wx
     det = np.where(det > 0, det, np.nan)
     return (wxx * wy - wx * wxy) / det, (w * wxy - wx * wy) / (det * span_px)

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.intrinsics import CameraModel, project
+from calibration.intrinsics import CameraModel
 from station.logs import FloatArray
 from station.perception.corner_covariance import Scatter, corner_covariances
 from station.perception.edge_model import edge_places, fit_shape, surroundings
@@ -39,6 +39,8 @@ SAMPLES = 11  # across the edge, in each profile
 REACH_PX = 3.0
 LEAST_REACH_PX = 1.0
 OUTER_SHARE, INNER_SHARE = 1.0, 1.5
+
+NO_MOTION = np.zeros(3)
 
 LINE_ROUNDS = 3
 # Tukey's constant: beyond this many standard deviations a profile has no weight; 95 % efficient for Gaussian errors.
@@ -157,9 +159,10 @@ def _bow(camera: CameraModel, corners_px: FloatArray, edges: Edges, along_px: Fl
     """How far outward (M, 4, P) px the lens bends straight edges between these corners: a parabola."""
     undistorted = cv2.undistortPoints(corners_px.reshape(-1, 1, 2), camera.matrix, camera.distortion)
     ideal = np.asarray(undistorted, dtype=np.float64).reshape(-1, 4, 2)
-    middle = 0.5 * (ideal + following(ideal))
-    seen_px = project(camera, np.concatenate([middle, np.ones((*middle.shape[:2], 1))], axis=-1))
-    sag_px = np.einsum("mek,mek->me", seen_px - edges.middle_px, edges.normal)
+    middle = np.ones((ideal.shape[0], 4, 3))
+    middle[..., :2] = 0.5 * (ideal + following(ideal))
+    seen_px, _ = cv2.projectPoints(middle.reshape(-1, 3), NO_MOTION, NO_MOTION, camera.matrix, camera.distortion)
+    sag_px = np.einsum("mek,mek->me", seen_px.reshape(-1, 4, 2) - edges.middle_px, edges.normal)
     return sag_px[..., None] * (1.0 - (2.0 * along_px / edges.length_px[..., None]) ** 2)
 
 

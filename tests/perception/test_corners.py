@@ -7,7 +7,7 @@ import pytest
 from calibration.intrinsics import CameraModel, FloatArray
 from station.errors import InvalidData
 from station.perception.corners import Detections, MarkerDetector
-from station.perception.edges import shift_edges
+from station.perception.edges import edge_shift_jacobian, shift_edges
 
 SIZE_M = 0.05
 CELLS = 6
@@ -132,3 +132,65 @@ def test_shifted_edges_lie_that_far_out() -> None:
 def test_what_is_no_image_is_refused(detector: MarkerDetector, image: np.ndarray) -> None:
     with pytest.raises(InvalidData, match="want uint8"):
         detector.detect(image)
+
+
+def clutter(rng: np.random.Generator) -> list[np.ndarray]:
+    """Images without markers: coarse noise, text, chequers, rectangles."""
+    noise = [
+        cv2.resize(rng.integers(0, 255, (480 // g, 640 // g), dtype=np.uint8), (640, 480), interpolation=mode)
+        for g, mode in ((4, cv2.INTER_CUBIC), (16, cv2.INTER_NEAREST))
+    ]
+    text, boxes = np.full((2, 480, 640), 230, np.uint8)
+    for y in range(20, 480, 24):
+        line = "".join(chr(c) for c in rng.integers(33, 127, 60))
+        cv2.putText(text, line, (4, y), cv2.FONT_HERSHEY_SIMPLEX, 0.7, 20, 2)
+    for x, y, width, height in rng.integers(8, 90, (80, 4)) * (7, 5, 1, 1):
+        cv2.rectangle(boxes, (int(x), int(y)), (int(x + width), int(y + height)), int(rng.integers(0, 255)), -1)
+    rows, columns = np.indices((480, 640)) // int(rng.integers(8, 40))
+    return [*noise, text, boxes, np.where((rows + columns) % 2, 30, 220).astype(np.uint8)]
+
+
+def test_clutter_shows_no_markers(detector: MarkerDetector) -> None:
+    rng = np.random.default_rng(1)
+    for image in (image for _ in range(4) for image in clutter(rng)):
+        assert not len(detector.detect(image))
+
+
+def test_a_marker_cut_by_the_border_is_none(view: tuple[np.ndarray, FloatArray], detector: MarkerDetector) -> None:
+    image, truth = view
+    middle = truth[0].mean(axis=0)
+    right = int(middle[0]) + 15  # the image's new border runs through the marker, and through another
+    found = detector.detect(np.ascontiguousarray(image[:, :right]))
+    assert 0 not in found.ids
+    # One at the border loses its margin, not its edges: what is reported must still be right.
+    top_left = truth[1].min(axis=0)
+    cut = np.ascontiguousarray(image[:, int(top_left[0]) - 2 :])
+    found = detector.detect(cut)
+    for marker, corners in zip(found.ids, found.corners_px, strict=True):
+        np.testing.assert_allclose(corners + np.array([int(top_left[0]) - 2, 0]), truth[marker], atol=0.2)  # px
+
+
+def test_blurred_and_small_markers_are_found(views: Callable, detector: MarkerDetector) -> None:
+    seen = views([20, 40], seed=11, blur_px=2.2)
+    found = [len(detector.detect(image)) for image, _ in seen]
+    assert sum(found) >= 11  # of 12; OpenCV finds 5
+    quick = [len(detector.detect(image, expected=())) for image, _ in seen]
+    assert sum(quick) <= sum(found)
+
+
+def test_a_missing_marker_makes_the_search_full(
+    view: tuple[np.ndarray, FloatArray], detector: MarkerDetector, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    image, _ = view
+    made: list[int] = []
+    original = detector.search_fully
+    monkeypatch.setattr(detector, "search_fully", lambda grey: (made.append(1), original(grey))[1])
+    assert len(detector.detect(image, expected=range(6))) == 6
+    assert not made
+    detector.detect(image, expected=(0, 44))
+    assert made
+
+
+def test_the_signature_of_an_edge_shift_is_what_shifting_does() -> None:
+    skew = np.array([[[10.0, 12], [55, 9], [49, 60], [8, 40]]])
+    np.testing.assert_allclose(shift_edges(skew, 0.3) - skew, 0.3 * edge_shift_jacobian(skew), atol=1e-12)
