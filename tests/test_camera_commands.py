@@ -10,11 +10,11 @@ import pytest
 
 from calibration.boards import CharucoBoard
 from calibration.view_selection import WAYS, ViewSelector
+from station.calibrating.waved_board import OPTICS
 from station.cli.camera import wizard_lines
 from station.commands import cameras
 from station.formats.board import format_board
 from station.formats.camera import parse_camera
-from station.waved_board import OPTICS
 from tests.board_sets import BOARD, good_poses, rendered
 
 COUNT = 11

@@ -194,7 +194,7 @@ def _wizard() -> Iterator[Wizard]:
 
 
 def _show(done: Calibrated, as_json: bool) -> None:
-    from station.calibration_files import COVER_FILE, result_document
+    from station.calibrating.files import COVER_FILE, result_document
 
     result = done.calibration
     if as_json:

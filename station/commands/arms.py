@@ -11,6 +11,9 @@ import numpy as np
 from calibration.latency import Latency, estimate_latency
 from calibration.scale import Scale, combine_lengths
 from calibration.servo_zeros import ServoZero, find_zeros
+from station.calibrating.known_lengths import axis_distances, prismatic_travels
+from station.calibrating.lone_motion import lone_sweeps, swinging_motion
+from station.calibrating.reference_pose import open_bus, read_counts, reference_joints, reference_states
 from station.commands.capturing import record_motion
 from station.commands.fitting import joint_types
 from station.compare import compare as compare_logs
@@ -20,10 +23,7 @@ from station.formats.camera import parse_camera
 from station.formats.motion import parse_motion
 from station.formats.rig import parse_rig
 from station.formats.toml_edit import Key, rewrite
-from station.known_lengths import axis_distances, prismatic_travels
-from station.lone_motion import lone_sweeps, swinging_motion
 from station.motion import plan_motion
-from station.reference_pose import open_bus, read_counts, reference_joints, reference_states
 from station.releasing import release
 from station.rig_reading import check_arm, packaged, packaged_names, read_rig
 from station.session import FIT_FOLDER, check_output_folder

@@ -16,14 +16,14 @@ from calibration.boards import CharucoBoard, check_ruler, parse_spec
 from calibration.camera_calibration import CameraCalibration, RefineMarkers
 from calibration.intrinsics import CameraModel, FloatArray
 from calibration.sheets import largest_board
-from station.calibration_files import BOARD_FILE, CAMERA_FILE, VIEWS_FOLDER, clear_calibration, write_calibration
+from station.calibrating.files import BOARD_FILE, CAMERA_FILE, VIEWS_FOLDER, clear_calibration, write_calibration
+from station.calibrating.view_taking import CameraWish, Progress, store_view, take_views
 from station.errors import InvalidData
 from station.formats.board import parse_board
 from station.formats.rig import RENDERED
 from station.formats.text import read_text
 from station.rig_reading import read_rig
 from station.session import check_output_folder
-from station.view_taking import CameraWish, Progress, store_view, take_views
 
 __all__ = [
     "Calibrated",

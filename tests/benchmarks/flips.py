@@ -19,7 +19,7 @@ from station.kinematics import se3
 from station.logs import FloatArray
 from station.tracking import TrackedParts, track_parts
 from tests.benchmarks.arguments import parser, trials_of
-from tests.benchmarks.rendered_markers import CAMERA, FPS, TABLE, facing, observed
+from tests.benchmarks.watched_marker import CAMERA, FPS, TABLE, facing, observed
 
 DISTANCES_M = (0.6, 1.2)
 FRAMES = 150

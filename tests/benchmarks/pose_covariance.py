@@ -22,7 +22,7 @@ from station.perception.pose import UNIT_CORNERS, estimate_poses
 from station.perception.rolling_shutter import row_delay_s
 from station.tracking import TrackedParts, track_parts
 from tests.benchmarks.arguments import parser, trials_of
-from tests.benchmarks.rendered_markers import CAMERA, DICTIONARY, FPS, SIZE_M, TABLE, facing, observed
+from tests.benchmarks.watched_marker import CAMERA, DICTIONARY, FPS, SIZE_M, TABLE, facing, observed
 
 TILTS_DEG = (0, 3, 6, 10, 20, 40, 60, 70)
 DISTANCES_M = (0.3, 0.6, 1.0)

@@ -14,7 +14,7 @@ from calibration.edge_shift import edge_offsets, estimate_edge_shift
 from calibration.errors import CalibrationError
 from calibration.verdict import Grade
 from calibration.wrong_board import edge_spread_px, explain_missing
-from station.calibration_files import write_calibration
+from station.calibrating.files import write_calibration
 from station.commands.cameras import marker_refinement
 from station.formats.camera import parse_camera
 from station.simulate.scene import CameraOptics

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from station.calibrating.lone_motion import lone_sweeps, swinging_motion
 from station.errors import StationError
 from station.formats.motion import parse_motion
 from station.logs import JointLog
-from station.lone_motion import lone_sweeps, swinging_motion
 from station.motion import JointLimits, plan_motion
 from station.perception.observations import ObservationLog
 from station.rig_reading import packaged_names, read_rig

@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from station.calibrating.known_lengths import axis_distances, prismatic_travels
 from station.commands import capturing, fitting
 from station.compare import compare
 from station.fit_files import read_fit
-from station.known_lengths import axis_distances, prismatic_travels
 from station.logs import JointLog
 from tests.sessions import write_motion
 

@@ -16,13 +16,13 @@ import pytest
 
 from drivers.clock import MonotonicClock
 from drivers.dynamixel import DynamixelBus
-from station import reference_pose
+from station.calibrating import reference_pose
+from station.calibrating.reference_pose import reference_states
 from station.emulated_arm import EmulatedArm
 from station.errors import StationError
 from station.formats.rig import parse_rig
 from station.formats.toml_edit import set_numbers
 from station.motion import JointLimits
-from station.reference_pose import reference_states
 from station.rig_reading import packaged
 
 TRUE_ZEROS = {

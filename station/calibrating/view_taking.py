@@ -20,7 +20,7 @@ from drivers.camera_sources import is_stored, open_camera
 from drivers.clock import Clock, MonotonicClock, VirtualClock
 from drivers.errors import CameraError, CameraStalled, DamagedFrames
 from drivers.stored_frames import StoredFrames, VideoFile, open_stored_frames
-from station.calibration_files import BOARD_FILE, clear_calibration
+from station.calibrating.files import BOARD_FILE, clear_calibration
 from station.errors import InvalidData, InvalidFile
 from station.formats.board import format_board
 from station.formats.rig import RENDERED, RigTable
@@ -149,7 +149,7 @@ def _look_at(frames: StoredFrames, selector: ViewSelector, images: list[Image], 
 def _opened(wish: CameraWish, board: CharucoBoard) -> tuple[Camera, Clock]:
     """The live camera that is wished for, not started, and its clock."""
     if wish.source == RENDERED:
-        from station.waved_board import waved_board_camera
+        from station.calibrating.waved_board import waved_board_camera
 
         clock = VirtualClock()
         return waved_board_camera(board, clock), clock
