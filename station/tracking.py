@@ -15,6 +15,7 @@ from station.perception.choice import Choice, choose_over_time, chosen_poses
 from station.perception.corner_noise import evidence_weights, total_covariance
 from station.perception.corners import Detections
 from station.perception.hypotheses import PoseHypotheses, estimate_hypotheses, part_of_row
+from station.perception.joint_covariance import joint_covariance
 from station.perception.marker_tracker import MarkerTracker
 from station.perception.markers import MarkerTable
 from station.perception.neighbours import choose_by_neighbours
@@ -27,8 +28,9 @@ def observe(detections: Detections, table: MarkerTable, camera: CameraModel) -> 
     """Those of a frame's detections that are in the table and have a pose, with their poses."""
     size_m = table.sizes_m(detections.ids)
     listed = np.flatnonzero(~np.isnan(size_m))
-    covariance_px2 = detections.covariance_px2[listed]
-    poses = estimate_poses(detections.corners_px[listed], size_m[listed], camera, covariance_px2)
+    corners_px = detections.corners_px[listed]
+    joint_px2 = joint_covariance(corners_px, detections.covariance_px2[listed])
+    poses = estimate_poses(corners_px, size_m[listed], camera, joint_px2)
     posed = ~np.isnan(poses.rms_px[:, 0])
     rows = listed[posed]
     return FrameMarkers(
@@ -58,8 +60,9 @@ def reestimate(observations: ObservationLog, table: MarkerTable, camera: CameraM
     T = np.full(observations.T_cam_marker.shape, np.nan)
     rms_px = np.full(observations.rms_px.shape, np.nan)
     covariance = np.full((*rms_px.shape, 6, 6), np.nan)
-    covariance_px2 = observations.corner_covariance_px2[listed]
-    poses = estimate_poses(observations.corners_px[listed], size_m[listed], camera, covariance_px2)
+    corners_px = observations.corners_px[listed]
+    joint_px2 = joint_covariance(corners_px, observations.corner_covariance_px2[listed])
+    poses = estimate_poses(corners_px, size_m[listed], camera, joint_px2)
     T[listed], rms_px[listed], covariance[listed] = poses.T_cam_marker, poses.rms_px, poses.covariance
     return observations.with_poses(MarkerPoses(T, rms_px, covariance))
 
@@ -111,7 +114,7 @@ def track_parts(
         readout_s: time from the first to the last row of a rolling shutter; the camera's own if None.
     """
     readout_s = camera.readout_s if readout_s is None else readout_s
-    covariance_px2 = total_covariance(observations, sigma_px)
+    covariance_px2 = total_covariance(observations, table.sizes_m(observations.marker_id), camera, sigma_px)
     weight = evidence_weights(observations)
     if readout_s:
         observations, covariance_px2 = at_frame_time(observations, covariance_px2, camera.size_px[1], readout_s)

@@ -19,9 +19,10 @@ from station.perception.corner_noise import (
 from station.perception.corners import Detections
 from station.perception.edges import shift_edges
 from station.perception.hypotheses import PoseHypotheses
+from station.perception.joint_covariance import joint_covariance
 from station.perception.markers import Marker, MarkerTable
 from station.perception.observations import ObservationBuilder, ObservationLog
-from station.perception.pose import UNIT_CORNERS, estimate_poses
+from station.perception.pose import UNIT_CORNERS, estimate_poses, squared_corner_errors
 from station.simulate.render import SceneRenderer
 from station.simulate.scene import CameraOptics, Plate
 from station.tracking import (
@@ -33,6 +34,7 @@ from station.tracking import (
     viewing_angles,
     viewing_angles_of_parts,
 )
+from tests.noisy_corners import independent, of_edges
 
 SIZE_M = 0.05
 FPS = 30.0
@@ -61,13 +63,15 @@ def corners_px(T_cam_marker: FloatArray, size_m: float = SIZE_M) -> FloatArray:
     return project(CAMERA, p_cam + T_cam_marker[..., None, :3, 3])
 
 
-def watch(T_cam_part: FloatArray, table: MarkerTable, sigma_px: float, *, seed: int = 0) -> ObservationLog:
+def watch(
+    T_cam_part: FloatArray, table: MarkerTable, sigma_px: float, *, seed: int = 0, noise: Callable = independent
+) -> ObservationLog:
     """Observations of all markers of the table, its parts moving as T_cam_part (F, K, 4, 4) say, with noisy corners."""
     part = [table.parts.index(m.part) for m in table.markers]
     T = T_cam_part[:, part] @ np.stack([m.mount for m in table.markers])
     px = np.stack([corners_px(T[:, k], m.size_m) for k, m in enumerate(table.markers)], axis=1)
-    px = px + sigma_px * np.random.default_rng(seed).standard_normal(px.shape)
     frames, count = px.shape[:2]
+    px = noise(px.reshape(-1, 4, 2), sigma_px, np.random.default_rng(seed)).reshape(px.shape)
     poses = estimate_poses(px.reshape(-1, 4, 2), np.tile([m.size_m for m in table.markers], frames), CAMERA)
     return ObservationLog(
         t_s=np.arange(frames) / FPS,
@@ -166,7 +170,7 @@ def test_frames_that_show_the_same_errors_count_once_for_those() -> None:
 @pytest.mark.parametrize("tilt_deg", [0.0, 5.0, 20.0, 50.0, 70.0])
 def test_stated_covariances_are_honest(tilt_deg: float) -> None:
     truth = tilted(np.full(900, tilt_deg))[:, None]
-    seen = stating(watch(truth, ONE, sigma_px=0.05, seed=int(tilt_deg)), 0.05)
+    seen = stating(watch(truth, ONE, sigma_px=0.05, seed=int(tilt_deg), noise=of_edges), 0.05)
     log = estimate_pose_log(seen, ONE, CAMERA)
     # The mean of 900 chi-squared of 6 over 6 is 1 +- 0.02, the scale's own estimate is good to 5 %.
     assert 0.8 < normalised_errors(log, truth).mean() < 1.25
@@ -185,29 +189,34 @@ def test_sigma_is_never_taken_as_less_than_model_error(rms_px: FloatArray) -> No
 
 
 def stating(observations: ObservationLog, sigma_px: float) -> ObservationLog:
-    """The same, the detector stating that each corner coordinate is good to `sigma_px`."""
+    """The same, the detector stating that the lines of the edges are good to `sigma_px` at each corner."""
     shape = observations.corner_covariance_px2.shape
     return replace(observations, corner_covariance_px2=np.broadcast_to(sigma_px**2 * np.eye(2), shape))
+
+
+def scale_of(stated: ObservationLog) -> float:
+    joint = joint_covariance(stated.corners_px, stated.corner_covariance_px2)
+    T = stated.T_cam_marker[:, 0]
+    return estimate_scale(squared_corner_errors(T, stated.corners_px, SIZE_M, CAMERA, joint))
 
 
 @pytest.mark.parametrize("said_px", [0.05, 0.1, 0.2])
 def test_stated_covariances_are_scaled_to_what_the_residuals_of_a_log_show(said_px: float) -> None:
     truth = tilted(np.full(400, 40.0))[:, None]
-    seen = stating(watch(truth, ONE, sigma_px=0.1), said_px)
-    assert estimate_scale(seen.rms_px[:, 0], seen.corner_covariance_px2) == pytest.approx(
-        (0.1 / said_px) ** 2, rel=0.25
-    )
+    seen = stating(watch(truth, ONE, sigma_px=0.1, noise=of_edges), said_px)
+    assert scale_of(seen) == pytest.approx((0.1 / said_px) ** 2, rel=0.25)
     assert 0.8 < normalised_errors(estimate_pose_log(seen, ONE, CAMERA), truth).mean() < 1.25
 
 
 def test_a_few_residuals_do_not_overrule_the_detector() -> None:
     few = stating(watch(tilted(np.full(3, 40.0))[:, None], ONE, sigma_px=0.0), 0.1)
-    assert 0.8 < estimate_scale(few.rms_px[:, 0], few.corner_covariance_px2) <= 1.0
+    assert 0.8 < scale_of(few) <= 1.0
 
 
 def test_what_no_residual_shows_is_added_to_stated_covariances() -> None:
     perfect = stating(watch(tilted(np.full(100, 40.0))[:, None], ONE, sigma_px=0.0), 0.001)
-    assert np.all(np.diagonal(total_covariance(perfect), axis1=-2, axis2=-1) >= UNSEEN_SIGMA_PX**2)
+    total = total_covariance(perfect, np.full(100, SIZE_M), CAMERA)
+    assert np.all(np.diagonal(total, axis1=-2, axis2=-1) >= UNSEEN_SIGMA_PX**2)
 
 
 def test_oblique_views_are_dropped() -> None:

@@ -10,17 +10,20 @@ from __future__ import annotations
 import numpy as np
 from scipy.special import gammaincinv
 
+from calibration.intrinsics import CameraModel
 from station.logs import FloatArray
-from station.perception.observations import CORNERS, IntArray, ObservationLog
+from station.perception.joint_covariance import joint_covariance
+from station.perception.observations import COORDINATES, IntArray, ObservationLog
+from station.perception.pose import squared_corner_errors
 
-COORDINATES = 2 * CORNERS
 # Eight coordinates less the six parameters of a pose.
 RESIDUAL_DOF = COORDINATES - 6
 
 # Standard deviation of a corner coordinate by what no residual shows and the detector doesn't state (a floor of its own
-# is in its covariances). On rendered pictures, whose lens model is exact, next to nothing is left: the mean of poses'
-# normalised squared errors is 0.83 without it. What it is on a real camera isn't measured.
-UNSEEN_SIGMA_PX = 0.005
+# is in its covariances). On rendered pictures, whose lens model is exact, next to nothing is left: with it the mean of
+# poses' normalised squared errors is 0.82 (cells of `pose_covariance` to 60 degrees: 0.53 to 1.9). What it is on a real
+# camera isn't measured.
+UNSEEN_SIGMA_PX = 0.003
 # The part of a corner's variance that is the same in all pictures of a marker that stands still: 0.63 on rendered ones.
 COMMON_SHARE = 0.6
 # Corners of unknown covariance are never taken to be better than this.
@@ -51,35 +54,39 @@ def _variance(squared: FloatArray) -> float:
     return float(np.median(squared) / chi2_quantile(0.5, RESIDUAL_DOF))
 
 
-def estimate_scale(rms_px: FloatArray, covariance_px2: FloatArray) -> float:
-    """Factor on stated covariances (N, 4, 2, 2) that the poses' RMS errors (N,) ask for; 1 where there are few."""
-    stated_px2 = _mean_variance(covariance_px2)
-    squared = COORDINATES * rms_px**2 / stated_px2
+def estimate_scale(squared: FloatArray) -> float:
+    """Factor on stated covariances that poses' squared errors (N,), in their units, ask for; 1 where there are few."""
     squared = squared[np.isfinite(squared)]
     if not squared.size:
         return 1.0
     return (len(squared) * _variance(squared) + PRIOR_MARKERS) / (len(squared) + PRIOR_MARKERS)
 
 
-def _mean_variance(covariance_px2: FloatArray) -> FloatArray:
-    return 0.5 * np.trace(covariance_px2, axis1=-2, axis2=-1).mean(axis=-1)
-
-
-def total_covariance(observations: ObservationLog, sigma_px: float | None = None) -> FloatArray:
-    """Covariances (N, 4, 2, 2) px^2 of a log's corners, for estimation.
+def total_covariance(
+    observations: ObservationLog, size_m: FloatArray, camera: CameraModel, sigma_px: float | None = None
+) -> FloatArray:
+    """Covariances (N, 8, 8) px^2 of a log's corners, coordinates u0, v0, u1, ..., for estimation.
 
     Those that the detector stated are scaled by one factor of the log and have UNSEEN_SIGMA_PX added. Where it stated
     none, coordinates are independent with the standard deviation that the residuals of those markers show. A given
     `sigma_px` replaces all.
+
+    Args:
+        observations: with poses by this very camera.
+        size_m: (N,) of the markers; NaN where nobody knows.
+        camera: that saw them.
+        sigma_px: standard deviation of a coordinate.
     """
+    one = np.eye(COORDINATES)
     if sigma_px is not None:
-        return np.broadcast_to(sigma_px**2 * np.eye(2), observations.corner_covariance_px2.shape)
-    stated = observations.corner_covariance_px2
-    known = np.all(np.isfinite(stated), axis=(1, 2, 3))
-    rms_px = observations.rms_px[:, 0]
+        return np.broadcast_to(sigma_px**2 * one, (len(observations), COORDINATES, COORDINATES))
+    stated = joint_covariance(observations.corners_px, observations.corner_covariance_px2)
+    known = np.all(np.isfinite(stated), axis=(1, 2))
     total = np.empty(stated.shape)
-    total[~known] = estimate_sigma_px(rms_px[~known]) ** 2 * np.eye(2)
-    total[known] = estimate_scale(rms_px[known], stated[known]) * stated[known] + UNSEEN_SIGMA_PX**2 * np.eye(2)
+    total[~known] = estimate_sigma_px(observations.rms_px[~known, 0]) ** 2 * one
+    better = observations.T_cam_marker[:, 0]
+    squared = squared_corner_errors(better, observations.corners_px, size_m, camera, stated)
+    total[known] = estimate_scale(squared) * stated[known] + UNSEEN_SIGMA_PX**2 * one
     return total
 
 

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from calibration.intrinsics import CameraModel
 from station.kinematics import se3
 from station.logs import FloatArray
-from station.perception.corner_noise import COORDINATES, chi2_quantile
+from station.perception.corner_noise import chi2_quantile
 from station.perception.markers import MarkerTable
-from station.perception.observations import SOLUTIONS, IntArray, ObservationLog
+from station.perception.observations import COORDINATES, SOLUTIONS, IntArray, ObservationLog
 from station.perception.point_poses import Sights, Solved, sights_of, solve_poses
 from station.perception.pose import (
     UNIT_CORNERS,
@@ -87,7 +87,7 @@ def estimate_hypotheses(
         observations: their corners; the poses in them aren't used.
         table: markers that aren't in it are left out.
         camera: the camera that saw them.
-        covariance_px2: (N, 4, 2, 2) of the corners.
+        covariance_px2: (N, 8, 8) of the corners' coordinates.
         weight: (N,) of each observation's squared errors, for the choice of a candidate alone.
     """
     part = part_of_row(observations, table)
@@ -177,7 +177,7 @@ class _Found:
 def _alone(views: _Views, table: MarkerTable, camera: CameraModel) -> _Candidates:
     """Each marker's own two poses, in the camera."""
     size_m = np.array([m.size_m for m in table.markers])[views.marker]
-    sights = sights_of(size_m[:, None, None] * UNIT_CORNERS, views.seen_px, views.covariance_px2, camera)
+    sights = sights_of(size_m[:, None, None] * UNIT_CORNERS, views.seen_px, views.covariance_px2[:, None], camera)
     both = sights[np.repeat(np.arange(len(views)), SOLUTIONS)]
     solved = solve_poses(both, square_poses(sights.rays, size_m).reshape(-1, 4, 4))
     covariance = square_covariance(both, solved.T, solved.information)
@@ -248,7 +248,7 @@ def _together(
     sights = sights_of(
         points_m.reshape(groups, -1, 3),
         views.seen_px[members].reshape(groups, -1, 2),
-        views.covariance_px2[members].reshape(groups, -1, 2, 2),
+        views.covariance_px2[members],
         camera,
     )
     starts = (alone.T[members] @ se3.inverse(mounts)[:, :, None]).reshape(-1, 4, 4)

@@ -19,6 +19,7 @@ IntArray = NDArray[np.int64]
 # The square-marker pose problem has at most two solutions (IPPE).
 SOLUTIONS = 2
 CORNERS = 4
+COORDINATES = 2 * CORNERS
 # What is known of each marker of a frame.
 MARKER_SHAPES: dict[str, tuple[int, ...]] = {
     "marker_id": (),
@@ -75,7 +76,8 @@ class ObservationLog:
         frame: (N,) row of `t_s`, never falling.
         marker_id: (N,) number in the dictionary; a marker is seen at most once a frame.
         corners_px: (N, 4, 2) as detected (distorted, no edge shift undone), clockwise from the marker's top left.
-        corner_covariance_px2: (N, 4, 2, 2) of each corner; NaN = not known.
+        corner_covariance_px2: (N, 4, 2, 2) of each corner, of two lines' independent errors (see `joint_covariance`);
+            NaN = not known.
         T_cam_marker: (N, 2, 4, 4) both pose solutions, the one with the lower error first; all-NaN where there is none.
         rms_px: (N, 2) RMS reprojection error of each, over the eight coordinates; NaN where there is none.
 

@@ -45,7 +45,8 @@ class Sights:
         points_m: (N, P, 3) in the object's frame.
         rays: (N, P, 2) undistorted places at distance 1 from the camera.
         px_per_ray: (N, P, 2, 2) derivative of the pixels with respect to them.
-        whitening: (N, P, 2, 2) takes an error of a ray to one of unit variance.
+        whitening: (N, G, n, n) takes the rays' errors, of G groups of points with n coordinates each, to errors of unit
+            variance that are independent.
     """
 
     points_m: FloatArray
@@ -64,7 +65,15 @@ class Sights:
 def sights_of(
     points_m: FloatArray, seen_px: FloatArray, covariance_px2: FloatArray | None, camera: CameraModel
 ) -> Sights:
-    """Sights of points (N, P, 3) seen at (N, P, 2) with covariances (N, P, 2, 2), for None nominal ones."""
+    """Sights of points (N, P, 3) seen at (N, P, 2).
+
+    Args:
+        points_m: in the object's frame.
+        seen_px: distorted.
+        covariance_px2: (N, G, n, n) joint covariances of groups of points that follow one another, n / 2 points each;
+            for None all coordinates are independent, and equal.
+        camera: that saw them.
+    """
     flat = np.ascontiguousarray(seen_px, dtype=np.float64).reshape(-1, 1, 2)
     if len(flat):
         end = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, UNDISTORTING_ROUNDS, UNDISTORTED_TO)
@@ -73,19 +82,10 @@ def sights_of(
     px_per_ray = project_jacobian(camera, np.concatenate([rays, np.ones((*rays.shape[:-1], 1))], axis=-1))[..., :2]
     if covariance_px2 is None:
         return Sights(points_m, rays, px_per_ray, px_per_ray / NOMINAL_SIGMA_PX)
-    whitening = _inverse_cholesky(covariance_px2) @ px_per_ray
-    return Sights(points_m, rays, px_per_ray, whitening)
-
-
-def _inverse_cholesky(covariance: FloatArray) -> FloatArray:
-    """W (..., 2, 2) with W C W^T = 1 for covariances C (..., 2, 2)."""
-    a, b, d = covariance[..., 0, 0], covariance[..., 0, 1], covariance[..., 1, 1]
-    first = 1.0 / np.sqrt(a)
-    second = 1.0 / np.sqrt(d - b * b / a)
-    W = np.zeros(covariance.shape)
-    W[..., 0, 0], W[..., 1, 1] = first, second
-    W[..., 1, 0] = -b / a * second
-    return W
+    count, groups, size = covariance_px2.shape[:3]
+    of_px = np.linalg.inv(np.linalg.cholesky(covariance_px2)).reshape(count, groups, size, size // 2, 1, 2)
+    of_rays = of_px @ px_per_ray.reshape(count, groups, 1, size // 2, 2, 2)
+    return Sights(points_m, rays, px_per_ray, of_rays.reshape(covariance_px2.shape))
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,8 +134,9 @@ def ray_errors(R: FloatArray, t: FloatArray, sights: Sights) -> tuple[FloatArray
 def _normal(R: FloatArray, t: FloatArray, sights: Sights) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Normal matrices (N, 6, 6), gradients (N, 6) and sums of squares (N,)."""
     errors, J = ray_errors(R, t, sights)
-    both = sights.whitening @ np.concatenate([J, errors[..., None]], axis=-1)
-    both = both.reshape(len(both), -1, 7)
+    groups, size = sights.whitening.shape[1:3]
+    both = np.concatenate([J, errors[..., None]], axis=-1).reshape(len(J), groups, size, 7)
+    both = (sights.whitening @ both).reshape(len(J), groups * size, 7)
     square = np.swapaxes(both, -1, -2) @ both
     return square[:, :6, :6], square[:, :6, 6], square[:, 6, 6]
 
@@ -201,6 +202,11 @@ def _right(normal: FloatArray, R: FloatArray) -> FloatArray:
     blocks = np.zeros(normal.shape)
     blocks[:, :3, :3] = blocks[:, 3:, 3:] = R
     return np.swapaxes(blocks, -1, -2) @ normal @ blocks
+
+
+def squared_errors(sights: Sights, T: FloatArray) -> FloatArray:
+    """Sums (N,) of squared whitened errors at poses (N, 4, 4); NaN for NaN."""
+    return _normal(T[:, :3, :3], T[:, :3, 3], sights)[2]
 
 
 def information_at(sights: Sights, T: FloatArray) -> FloatArray:

@@ -15,7 +15,16 @@ from calibration.intrinsics import CameraModel
 from station.kinematics import se3
 from station.logs import FloatArray
 from station.perception.edges import shift_edges
-from station.perception.point_poses import FEW_STEPS, Sights, Solved, information_at, sights_of, solve_poses
+from station.perception.observations import COORDINATES
+from station.perception.point_poses import (
+    FEW_STEPS,
+    Sights,
+    Solved,
+    information_at,
+    sights_of,
+    solve_poses,
+    squared_errors,
+)
 from station.perception.square_pose import square_poses
 
 # Corners of a marker of size 1 in its own frame, clockwise from its top left.
@@ -59,8 +68,8 @@ def estimate_poses(
             it is undone here: the edges are moved along their outward normals by its negative.
         size_m: (M,) sides of the black squares.
         camera: the camera that saw them.
-        covariance_px2: (M, 4, 2, 2) of the corners, which weigh them; markers with NaN there, or all for None, have
-            equal weights and no covariance.
+        covariance_px2: (M, 8, 8) of the corners' coordinates, which weigh them, see `joint_covariance`; markers with
+            NaN there, or all for None, have equal weights and no covariance.
     """
     seen_px = without_edge_shift(np.asarray(corners_px, dtype=np.float64), camera)
     count = len(seen_px)
@@ -77,6 +86,21 @@ def estimate_poses(
     return _ordered(solved, np.where(known[:, None, None, None], covariance, np.nan), FAILED_SHARE * side_px)
 
 
+def squared_corner_errors(
+    T_cam_marker: FloatArray,
+    corners_px: FloatArray,
+    size_m: ArrayLike,
+    camera: CameraModel,
+    covariance_px2: FloatArray,
+) -> FloatArray:
+    """Squared errors (M,) of corners at poses (M, 4, 4), in units of their covariances (M, 8, 8); NaN for NaN."""
+    size_m = np.broadcast_to(np.asarray(size_m, dtype=np.float64), len(corners_px))
+    known, weights = _weights(covariance_px2, len(corners_px))
+    points_m = size_m[:, None, None] * UNIT_CORNERS
+    sights = sights_of(points_m, without_edge_shift(corners_px, camera), weights, camera)
+    return np.where(known, squared_errors(sights, T_cam_marker), np.nan)
+
+
 def without_edge_shift(corners_px: FloatArray, camera: CameraModel) -> FloatArray:
     """Corners (M, 4, 2) with the camera's shift of dark edges undone."""
     if not camera.edge_shift_px or not len(corners_px):
@@ -85,11 +109,11 @@ def without_edge_shift(corners_px: FloatArray, camera: CameraModel) -> FloatArra
 
 
 def _weights(covariance_px2: FloatArray | None, count: int) -> tuple[NDArray[np.bool_], FloatArray | None]:
-    """Which markers' covariances are known, and covariances (M, 4, 2, 2) to weigh by; None for equal weights."""
+    """Which markers' covariances are known, and covariances (M, 1, 8, 8) to weigh by; None for equal weights."""
     if covariance_px2 is None:
         return np.zeros(count, dtype=bool), None
-    known = np.all(np.isfinite(covariance_px2), axis=(1, 2, 3))
-    return known, np.where(known[:, None, None, None], covariance_px2, np.eye(2))
+    known = np.all(np.isfinite(covariance_px2), axis=(1, 2))
+    return known, np.where(known[:, None, None], covariance_px2, np.eye(COORDINATES))[:, None]
 
 
 def _ordered(solved: Solved, covariance: FloatArray, limit_px: FloatArray) -> MarkerPoses:

@@ -40,9 +40,9 @@ LIGHT_MARGIN_PX = 8
 
 
 def linear_light(grey: NDArray[np.uint8], corners_px: FloatArray) -> Singles:
-    """Linear light 0...1 of a grey image (H, W) around quadrilaterals (M, 4, 2); elsewhere the image is not filled."""
+    """Linear light 0...1 of a grey image (H, W) around quadrilaterals (M, 4, 2); black elsewhere."""
     height, width = grey.shape
-    light = np.empty((height, width), dtype=np.float32)
+    light = np.zeros((height, width), dtype=np.float32)
     low = np.maximum(np.floor(corners_px.min(axis=1)).astype(int) - LIGHT_MARGIN_PX, 0)
     high = np.ceil(corners_px.max(axis=1)).astype(int) + LIGHT_MARGIN_PX + 1
     for (x0, y0), (x1, y1) in zip(low.tolist(), high.tolist(), strict=True):  # a few rectangles, each one call

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from station.logs import FloatArray
-from station.perception.observations import IntArray, ObservationLog
+from station.perception.observations import COORDINATES, IntArray, ObservationLog
 
 BoolArray = NDArray[np.bool_]
 
@@ -38,7 +38,7 @@ def at_frame_time(
 
     Args:
         observations: corners as seen.
-        covariance_px2: (N, 4, 2, 2) of them.
+        covariance_px2: (N, 8, 8) of them.
         height_px: rows of the image.
         readout_s: from the first row to the last.
     """
@@ -54,9 +54,13 @@ def at_frame_time(
     weights = _weights(-delay, steps[0][1], steps[1][1], there[0], there[1])
     places = (here, before, after)
     moved = sum(w[..., None] * px[rows] for w, rows in zip(weights, places, strict=True))
-    grown = sum(w[..., None, None] ** 2 * covariance_px2[rows] for w, rows in zip(weights, places, strict=True))
+    of_coordinate = [np.repeat(w, 2, axis=1) for w in weights]
+    grown = sum(
+        w[:, :, None] * w[:, None, :] * covariance_px2[rows] for w, rows in zip(of_coordinate, places, strict=True)
+    )
     alone = ~(there[0] | there[1])
-    grown = grown + np.where(alone, (_speed_px_s(px, steps, there) * delay) ** 2, 0.0)[..., None, None] * np.eye(2)
+    astray_px2 = np.where(alone, (_speed_px_s(px, steps, there) * delay) ** 2, 0.0)
+    grown = grown + np.repeat(astray_px2, 2, axis=1)[:, :, None] * np.eye(COORDINATES)
     return replace(observations, corners_px=np.asarray(moved)), np.asarray(grown)
 
 

@@ -1,7 +1,7 @@
 """Are the stated covariances of poses honest? Squared errors in their units, over 6, which should be 1 on average.
 
-Single frames of a 50 mm marker at random places, over tilt and distance, as one log: corners with Gaussian noise, and
-rendered frames through the real detector. The better of the two candidates counts ("nearest"; the choice is another
+Single frames of a 50 mm marker at random places, over tilt and distance, as one log: corners whose edges have Gaussian
+noise, and rendered frames through the real detector. The better of the two candidates counts ("nearest"; the choice is another
 benchmark's), and beside it the one that its own corners prefer, its covariance widened by the other where that isn't
 certain ("chosen"). Then a part with two markers, and rolling shutter: rotation errors uncorrected and corrected.
 
@@ -16,6 +16,7 @@ from calibration.intrinsics import project
 from station.kinematics import se3
 from station.logs import FloatArray
 from station.perception.choice import choose_by_corners, chosen_poses
+from station.perception.joint_covariance import joint_covariance
 from station.perception.markers import Marker, MarkerTable
 from station.perception.observations import ObservationLog
 from station.perception.pose import UNIT_CORNERS, estimate_poses
@@ -23,6 +24,7 @@ from station.perception.rolling_shutter import row_delay_s
 from station.tracking import TrackedParts, track_parts
 from tests.benchmarks.arguments import parser, trials_of
 from tests.benchmarks.watched_marker import CAMERA, DICTIONARY, FPS, SIZE_M, TABLE, facing, observed
+from tests.noisy_corners import of_edges
 
 TILTS_DEG = (0, 3, 6, 10, 20, 40, 60, 70)
 DISTANCES_M = (0.3, 0.6, 1.0)
@@ -51,11 +53,12 @@ def corners(T_cam_part: FloatArray, table: MarkerTable) -> FloatArray:
 
 
 def noisy(px: FloatArray, table: MarkerTable, rng: np.random.Generator, sigma_px: float) -> ObservationLog:
-    """Corners (F, M, 4, 2) with noise, stated."""
+    """Corners (F, M, 4, 2) with noise as of lines fitted to the edges, stated."""
     frames, count = px.shape[:2]
-    seen = (px + sigma_px * rng.standard_normal(px.shape)).reshape(-1, 4, 2)
-    stated = np.broadcast_to(sigma_px**2 * np.eye(2), (*seen.shape[:2], 2, 2))
-    poses = estimate_poses(seen, SIZE_M, CAMERA, stated)
+    exact = px.reshape(-1, 4, 2)
+    stated = np.broadcast_to(sigma_px**2 * np.eye(2), (*exact.shape[:2], 2, 2))
+    seen = of_edges(exact, sigma_px, rng)
+    poses = estimate_poses(seen, SIZE_M, CAMERA, joint_covariance(seen, stated))
     return ObservationLog(
         np.arange(frames) / FPS,
         np.repeat(np.arange(frames), count),

@@ -9,6 +9,7 @@ from calibration.intrinsics import CameraModel, FloatArray
 from station.kinematics import se3
 from station.perception.edges import shift_edges
 from station.perception.pose import UNIT_CORNERS, estimate_poses, inverse_information, viewing_angles
+from tests.noisy_corners import joint
 
 SIZE_M = 0.05
 SIGMA_PX = 0.1
@@ -43,7 +44,7 @@ def nearest_rows(found: FloatArray, truth: FloatArray) -> tuple[np.ndarray, np.n
 
 
 def isotropic(sigma_px: float, count: int) -> FloatArray:
-    return np.broadcast_to(sigma_px**2 * np.eye(2), (count, 4, 2, 2))
+    return np.broadcast_to(sigma_px**2 * np.eye(8), (count, 8, 8))
 
 
 @pytest.mark.parametrize("tilt_deg", [10, 30, 60, 80])
@@ -139,7 +140,7 @@ def test_corners_count_by_their_covariances(poses: Callable, corners: Callable, 
     half = rng.normal(size=(count, 4, 2, 2)) * rng.uniform(0.01, 0.1, (count, 4, 1, 1))
     covariance_px2 = half @ np.swapaxes(half, -1, -2) + 0.02**2 * np.eye(2)
     noise = (np.linalg.cholesky(covariance_px2) @ rng.standard_normal((count, 4, 2, 1)))[..., 0]
-    weighted, equal = (estimate_poses(corners(T) + noise, SIZE_M, camera, c) for c in (covariance_px2, None))
+    weighted, equal = (estimate_poses(corners(T) + noise, SIZE_M, camera, c) for c in (joint(covariance_px2), None))
     nearest = nearest_rows(weighted.T_cam_marker, T)
     error = se3.log(se3.inverse(T) @ weighted.T_cam_marker[nearest])
     squared = np.einsum("ni,nij,nj->n", error, np.linalg.inv(weighted.covariance[nearest]), error) / 6
@@ -153,7 +154,7 @@ def test_a_marker_of_unknown_covariance_has_a_pose_and_none(
 ) -> None:
     T = poses(30, 2)
     covariance_px2 = np.array(isotropic(SIGMA_PX, 2))
-    covariance_px2[1, 2] = np.nan
+    covariance_px2[1, 2, 3] = np.nan
     found = estimate_poses(corners(T), SIZE_M, camera, covariance_px2)
     np.testing.assert_allclose(found.T_cam_marker[:, 0], T, atol=1e-6)  # m, rad
     assert np.all(np.isfinite(found.covariance[0])) and np.all(np.isnan(found.covariance[1]))

@@ -165,7 +165,7 @@ def test_the_session_is_whole_and_what_follows_takes_it(track: Run, station: Run
     page = (folder / "report" / "report.html").read_text("utf-8")
     assert "When the parts were seen" in page and page.count("<svg") == 2
     code, _, err = station("compare", folder)
-    assert code == 1 and "no recorded commands" in err and "--commands FILE" in err
+    assert code == 1 and "neither commands nor read-back" in err and "--commands FILE" in err
     rows = [f"{t + 5:.6f},{-np.radians(60) * swing(np.array(t), 3.0):.9f}" for t in times_s(FRAMES)]
     (tmp_path / "commands.csv").write_text("\n".join(["t_s,door", *rows]), "utf-8")
     code, out, err = station("compare", folder, "--commands", tmp_path / "commands.csv", "--json")
