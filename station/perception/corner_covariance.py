@@ -15,6 +15,7 @@ The variance of a line's place at its middle and at its end has these parts:
   correlate the noise otherwise; what the residuals' correlation over a few profiles shows beyond the B-spline's is
   applied as a factor.
 - Black and contrast of the edge are estimated with its place: `level_inflation`.
+- A profile that isn't the model's, smeared by motion say, is misplaced by a share of its misfit.
 - What lies beyond the white margin isn't known, and pulls at narrow margins: `margin_pull_px`.
 - Not included: a camera whose gamma isn't the assumed one. Its edge shift is shared as long as borders are some five
   blurs wide; at narrower ones it differs from marker to marker (gamma 1.8 for 2.2: by 0.05 px at 2.5 px).
@@ -41,6 +42,8 @@ EXCESS_RANGE = (0.3, 5.0)
 SPLINE_LAGS = 8
 # Standard deviation of what is beyond the margin, in contrasts from white: anything from white to black.
 MARGIN_SIGMA = 0.5
+# Misplacement of an edge, as a share of its misfit times its blur: 0.6 at smears of 4 to 7 px.
+MISFIT_SHARE = 0.7
 FLOOR_PX = 0.004
 # Of the bow of an edge by a webcam's lens, per px^2 of its length: k1 = -0.1 at f = 600 px, half way to the corner.
 BOW_PER_PX = 1.5e-6
@@ -103,7 +106,7 @@ def corner_covariances(edges: Edges, shape: EdgeShape, scatter: Scatter, *, bow_
     of_slope = of_profile / np.maximum(spread_px2, SMALLEST)
     bow_px = 0.0 if bow_known else BOW_PER_PX * edges.length_px**2
     common = of_profile * shape.level_inflation / total + (MARGIN_SIGMA * shape.margin_pull_px) ** 2
-    common = common + FLOOR_PX**2 + bow_px**2
+    common = common + FLOOR_PX**2 + bow_px**2 + (MISFIT_SHARE * shape.misfit * shape.blur_px) ** 2
     end_px = 0.5 * edges.length_px
     at_start, at_end = (common + of_slope * (end_px + side * centre_px) ** 2 for side in (1.0, -1.0))
     return _where_lines_meet(edges.normal, preceding(at_end), at_start)

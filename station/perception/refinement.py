@@ -53,7 +53,9 @@ LEAST_CONTRAST = 0.02  # white less black, of full linear light
 LARGEST_LINE_RESIDUAL_PX = 0.5  # robust scale of the profiles about the line
 LARGEST_MOVE_PX = 3.0  # of a corner's coordinate by the whole refinement
 LEAST_PROFILES = 0.5  # share of the profiles that lie on the line
-LARGEST_MISFIT = 0.1  # RMS of the mean profile about the model, as a share of the contrast
+# RMS of the mean profile about the model, as a share of the contrast: 0.01 is usual, 0.05 a smear of 7 px, beyond which
+# corners are off by tenths of a pixel.
+LARGEST_MISFIT = 0.05
 
 
 @dataclass(frozen=True, eq=False)

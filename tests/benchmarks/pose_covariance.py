@@ -1,9 +1,9 @@
 """Are the stated covariances of poses honest? Squared errors in their units, over 6, which should be 1 on average.
 
 Single frames of a 50 mm marker at random places, over tilt and distance, as one log: corners whose edges have Gaussian
-noise, and rendered frames through the real detector. The better of the two candidates counts ("nearest"; the choice is another
-benchmark's), and beside it the one that its own corners prefer, its covariance widened by the other where that isn't
-certain ("chosen"). Then a part with two markers, and rolling shutter: rotation errors uncorrected and corrected.
+noise, and rendered frames through the real detector. The better of the two candidates counts ("nearest"; the choice is
+another benchmark's), and beside it the one that its own corners prefer, its covariance widened by the other where that
+isn't certain ("chosen"). Then a part with two markers, and rolling shutter: rotation errors uncorrected and corrected.
 
 Run: python -m tests.benchmarks.pose_covariance [--quick]
 """
