@@ -25,7 +25,7 @@ from station.perception.point_poses import (
     solve_poses,
     squared_errors,
 )
-from station.perception.square_pose import square_poses
+from station.perception.square_pose import cross3, square_poses
 
 # Corners of a marker of size 1 in its own frame, clockwise from its top left.
 UNIT_CORNERS = np.array([[-0.5, 0.5, 0.0], [0.5, 0.5, 0.0], [0.5, -0.5, 0.0], [-0.5, -0.5, 0.0]])
@@ -165,8 +165,8 @@ def _turned_to_front(T: FloatArray, covariance: FloatArray) -> FloatArray:
     known = np.all(np.isfinite(rotation), axis=(-2, -1))
     variance = np.linalg.eigvalsh(np.where(known[:, None, None], rotation, 0.0))[:, -1]
     normal, towards = T[:, :3, 2], -T[:, :3, 3]
-    across = np.cross(normal, towards)
-    length = np.linalg.norm(across, axis=-1)
+    across = cross3(normal, towards)
+    length = np.sqrt(np.einsum("ni,ni->n", across, across))
     tilt_rad = np.arctan2(length, np.sum(normal * towards, axis=-1))
     turn_rad = np.minimum(tilt_rad, FRONT_TURN_SIGMAS * np.sqrt(np.maximum(variance, 0.0)))
     axis = across * (turn_rad / np.where(length > 0, length, 1.0))[:, None]

