@@ -4,15 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from station.commands.capturing import capture
 from station.commands.fitting import fit
 from station.commands.reporting import report_compared
 from station.compare import Comparison
-
-if TYPE_CHECKING:
-    pass
 
 
 def run(

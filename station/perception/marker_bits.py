@@ -46,16 +46,6 @@ def cell_middles(corners_px: FloatArray, cells: int) -> FloatArray:
     return middles.reshape(-1, cells, cells, 2)
 
 
-def read_bits(grey: NDArray[np.uint8], corners_px: FloatArray, cells: int) -> FloatArray:
-    """Cells (M, n, n) of markers with corners (M, 4, 2) as an image shows them, 1 = white; the border is black."""
-    seen = _middle_greys(grey, corners_px, cells)
-    middle = 0.5 * (seen.max(axis=-1, initial=0.0) + seen.min(axis=-1, initial=255.0))
-    bits = (seen > middle[:, None]).astype(np.float64).reshape(-1, cells, cells)
-    inside = np.zeros((cells, cells))
-    inside[1:-1, 1:-1] = 1.0
-    return bits * inside
-
-
 def _middle_greys(grey: NDArray[np.uint8], corners_px: FloatArray, cells: int) -> FloatArray:
     """Grey levels (M, n n) of the middles of the cells."""
     if not len(corners_px):

@@ -21,8 +21,8 @@ UNDISTORTED_TO = 1e-10
 UNDISTORTING_ROUNDS = 30
 
 # Levenberg-Marquardt.
-# A frame's markers get by with few: 1 in 500 second solutions is then still on its way, the first is right to a tenth of
-# its deviation. More are for the slow way along the flat valley between two solutions that noise has merged.
+# A frame's markers get by with few: 1 in 500 second solutions is then still on its way, the first is right to a tenth
+# of its deviation. More are for the slow way along the flat valley between two solutions that noise has merged.
 FEW_STEPS = 4
 MANY_STEPS = 60
 FIRST_DAMPING = 1e-5  # share of the normal matrix's diagonal that is added to it
