@@ -135,30 +135,16 @@ class ImageFiles:
     def __init__(self, folder: Path, files: tuple[Path, ...], *, fps: float | None = None) -> None:
         self.name = str(folder)
         self.files = files
-        self._fps = fps
+        self.fps = fps
+        self.count: int | None = len(files)
         first = self._image(0)
-        self._size_px = (first.shape[1], first.shape[0])
-
-    @property
-    def size_px(self) -> tuple[int, int]:
-        """(width, height) of all images."""
-        return self._size_px
-
-    @property
-    def fps(self) -> float | None:
-        """Frames a second, as given."""
-        return self._fps
-
-    @property
-    def count(self) -> int | None:
-        """Number of files."""
-        return len(self.files)
+        self.size_px = (first.shape[1], first.shape[0])
 
     def __iter__(self) -> Iterator[StoredFrame]:
         for index in range(len(self.files)):
             image = self._image(index)
-            _check_size(image, self._size_px, str(self.files[index]), index)
-            yield StoredFrame(index, None if self._fps is None else index / self._fps, image)
+            _check_size(image, self.size_px, str(self.files[index]), index)
+            yield StoredFrame(index, None if self.fps is None else index / self.fps, image)
 
     def _image(self, index: int) -> Image:
         file = self.files[index]
@@ -187,28 +173,13 @@ class VideoFile:
         with self._opened() as capture:
             if not capture.grab():
                 raise NoFrames(f"{path} has no frame that could be decoded; it may be damaged or not wholly written")
-            self._size_px = (
+            self.size_px = (
                 round(capture.get(cv2.CAP_PROP_FRAME_WIDTH)),
                 round(capture.get(cv2.CAP_PROP_FRAME_HEIGHT)),
             )
             own_fps, count = capture.get(cv2.CAP_PROP_FPS), capture.get(cv2.CAP_PROP_FRAME_COUNT)
-        self._fps = fps if self._bare else own_fps if own_fps > 0 else None
-        self._count = round(count) if count > 0 else None
-
-    @property
-    def size_px(self) -> tuple[int, int]:
-        """(width, height) of all frames."""
-        return self._size_px
-
-    @property
-    def fps(self) -> float | None:
-        """Frames a second as the container says; of a bare stream as given."""
-        return self._fps
-
-    @property
-    def count(self) -> int | None:
-        """Number of frames as the container says, or as its length and rate give it."""
-        return self._count
+        self.fps = fps if self._bare else own_fps if own_fps > 0 else None
+        self.count = round(count) if count > 0 else None
 
     def __iter__(self) -> Iterator[StoredFrame]:
         with self._opened() as capture:
@@ -219,7 +190,7 @@ class VideoFile:
                 if not good:
                     raise self._damaged(index)
                 frame = np.asarray(image, dtype=np.uint8)
-                _check_size(frame, self._size_px, self.name, index)
+                _check_size(frame, self.size_px, self.name, index)
                 yield StoredFrame(index, self._time_s(index, stamp_s, last_s), frame)
                 last_s = max(last_s, stamp_s)
                 index += 1
@@ -228,7 +199,7 @@ class VideoFile:
 
     def _time_s(self, index: int, stamp_s: float, last_s: float) -> float | None:
         if self._bare:
-            return None if self._fps is None else index / self._fps
+            return None if self.fps is None else index / self.fps
         return stamp_s if stamp_s > last_s else None
 
     def _ended_early(self, frames: int, last_s: float) -> bool:
@@ -236,13 +207,13 @@ class VideoFile:
 
         Either alone is no sign of damage: the number may be a guess from the length, the rate may vary.
         """
-        if self._count is None or self._fps is None or frames >= self._count:
+        if self.count is None or self.fps is None or frames >= self.count:
             return False
-        length_s = self._count / self._fps
-        return last_s + max(SLACK_FRAMES / self._fps, SLACK_SHARE * length_s) < length_s
+        length_s = self.count / self.fps
+        return last_s + max(SLACK_FRAMES / self.fps, SLACK_SHARE * length_s) < length_s
 
     def _damaged(self, frames: int) -> DamagedFrames:
-        says = "" if self._count is None else f"; it says that it has {self._count}"
+        says = "" if self.count is None else f"; it says that it has {self.count}"
         text = f"{self.name} is damaged or cut short: {frames} frames could be read, none after them{says}"
         return DamagedFrames(text, frames=frames)
 

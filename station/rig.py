@@ -93,17 +93,8 @@ def open_rig(
         InvalidData: a simulation is asked for and not described, or a rendered camera looks at a real arm.
         DriverError: a port or camera that isn't there.
     """
-    table = rig.table
-    has_arm = bool(table.joint)
-    emulated = has_arm and (simulate or table.bus.port == EMULATED)
-    rendered = simulate or table.camera.source == RENDERED
-    simulation = table.simulation
-    if (emulated or rendered) and simulation is None:
-        raise InvalidData(f"{rig.name} has no [simulation]: it can't run without its hardware")
-    if rendered and has_arm and not emulated:
-        raise InvalidData(
-            f'{rig.name}: a rendered camera can\'t see a real arm; set port = "emulated" or a camera source'
-        )
+    table, simulation = rig.table, rig.table.simulation
+    emulated, rendered = _check_simulated(rig, simulate)
     virtual = rendered and not realtime
     clock: Clock = VirtualClock() if virtual else MonotonicClock()
     if simulation is not None and seed is None:
@@ -115,13 +106,7 @@ def open_rig(
         client = DynamixelBus(
             port, baud=table.bus.baud, protocol=table.bus.protocol, clock=clock, reply_timeout_s=timeout_s
         )
-        arm = Arm(
-            stack.enter_context(client) if has_arm else client,
-            joint_configs(table),
-            clock,
-            disagreement_rad=float(np.radians(table.safety.disagreement_deg)),
-            limits=safety_limits(table),
-        )
+        arm = _arm_on(stack.enter_context(client) if table.joint else client, table, clock)
         if simulation is not None and rendered:
             stage = Stage(table, simulation, rig.camera_model, seed or 0)
             moved = bus or HandMovedObject(len(stage.joints), by_hand, clock.now_ns())
@@ -136,6 +121,31 @@ def open_rig(
         camera.start()
         simulated_seed = seed if emulated or rendered else None
         yield Rig(table, clock, virtual, arm, camera, rig.camera_model, table.marker_table(), simulated_seed)
+
+
+def _check_simulated(rig: RigFile, simulate: bool) -> tuple[bool, bool]:
+    """Whether the bus is emulated and the camera rendered; raises InvalidData where that can't be."""
+    table = rig.table
+    emulated = bool(table.joint) and (simulate or table.bus.port == EMULATED)
+    rendered = simulate or table.camera.source == RENDERED
+    if (emulated or rendered) and table.simulation is None:
+        raise InvalidData(f"{rig.name} has no [simulation]: it can't run without its hardware")
+    if rendered and table.joint and not emulated:
+        raise InvalidData(
+            f'{rig.name}: a rendered camera can\'t see a real arm; set port = "emulated" or a camera source'
+        )
+    return emulated, rendered
+
+
+def _arm_on(bus: DynamixelBus, table: RigTable, clock: Clock) -> Arm:
+    """A rig's arm on a bus."""
+    return Arm(
+        bus,
+        joint_configs(table),
+        clock,
+        disagreement_rad=float(np.radians(table.safety.disagreement_deg)),
+        limits=safety_limits(table),
+    )
 
 
 def virtual_reply_timeout_s(simulation: SimulationTable | None) -> float:

@@ -14,6 +14,7 @@ from station.cli.show import asking, progress, say_next, table, warn
 
 if TYPE_CHECKING:
     from station.commands.arms import CameraLatency, ServoZeros
+    from station.commands.capturing import CaptureSettings
 
 Write = Annotated[bool, typer.Option("--write", help="Write the result into the rig; the old file is kept beside it.")]
 
@@ -45,31 +46,23 @@ def latency(
     within all limits. Needs markers on what moves.
     """
     from station.commands import arms
+    from station.commands.fitting import is_session
     from station.errors import InvalidData
-    from station.session import RECORDING_FILE
 
-    session = Path(source)
-    of_rig = not (session.suffix == ".rrd" or (session / RECORDING_FILE).exists())
+    of_rig = not is_session(Path(source))
     if of_rig and out is None:
         raise InvalidData(f"'{source}' is no session: to swing the joints of a rig, name a folder with --out")
     if not of_rig and write:
         raise InvalidData("a session doesn't know where its rig's file is: put the line into it by hand")
     if write:
         arms.check_writable(source)
+    session = out if of_rig and out is not None else Path(source)
     with progress() as bar:
-        if of_rig and out is not None:
+        if of_rig:
             bar.stage("swing")
-            arms.capture_swings(
-                source,
-                out,
-                joints=joint or [],
-                seed=seed,
-                simulate=simulate,
-                realtime=realtime,
-                force=force,
-                progress=bar.update,
-            )
-            session = out
+            settings: CaptureSettings = {"seed": seed, "simulate": simulate, "realtime": realtime, "force": force}
+            settings["progress"] = bar.update
+            arms.capture_swings(source, session, joints=joint or [], **settings)
         bar.stage("latency")
         result = arms.latency_of(session)
     if as_json:

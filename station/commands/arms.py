@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Unpack
 
 import numpy as np
 
@@ -14,7 +14,7 @@ from calibration.servo_zeros import ServoZero, find_zeros
 from station.calibrating.known_lengths import axis_distances, prismatic_travels
 from station.calibrating.lone_motion import lone_sweeps, swinging_motion
 from station.calibrating.reference_pose import open_bus, read_counts, reference_joints, reference_states
-from station.commands.capturing import record_motion
+from station.commands.capturing import CaptureSettings, record_motion
 from station.commands.fitting import joint_types
 from station.compare import compare as compare_logs
 from station.errors import InvalidData, StationError
@@ -26,12 +26,11 @@ from station.formats.toml_edit import Key, rewrite
 from station.motion import plan_motion
 from station.releasing import release
 from station.rig_reading import check_arm, packaged, packaged_names, read_rig
-from station.session import FIT_FOLDER, check_output_folder
+from station.session import FIT_FOLDER
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from station.capture import Progress
     from station.recording import Recording
     from station.releasing import Ask
 
@@ -74,17 +73,7 @@ class CameraLatency:
         return f"latency_s = {self.value_s!r}"
 
 
-def capture_swings(
-    rig: str,
-    out: Path,
-    *,
-    joints: Sequence[str] = (),
-    seed: int | None = None,
-    simulate: bool = False,
-    realtime: bool = False,
-    force: bool = False,
-    progress: Progress | None = None,
-) -> None:
+def capture_swings(rig: str, out: Path, *, joints: Sequence[str] = (), **settings: Unpack[CaptureSettings]) -> None:
     """Swing the joints of a rig to and fro, one after the other, and record it into the session folder `out`.
 
     Args:
@@ -102,18 +91,7 @@ def capture_swings(
     limits = rig_file.table.limits()
     text = swinging_motion(limits, joints)
     planned = plan_motion(parse_motion(text, MOTION_NAME, limits), limits)
-    check_output_folder(out, force=force)
-    record_motion(
-        rig_file,
-        planned,
-        text,
-        out,
-        seed=seed,
-        simulate=simulate,
-        realtime=realtime,
-        force=force,
-        progress=progress,
-    )
+    record_motion(rig_file, planned, text, out, **settings)
 
 
 def latency_of(session: Path) -> CameraLatency:

@@ -2,23 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from contextlib import AbstractContextManager
 from datetime import UTC, datetime
 from importlib import metadata
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypedDict, Unpack
 
 from station.commands.planning import planned_motion
 from station.formats.camera import format_camera
 from station.formats.markers import format_markers
-from station.motion import JointLimits, Plan
-from station.session import (
-    SessionDescription,
-    check_output_folder,
-)
+from station.motion import Plan
+from station.session import SessionDescription, check_output_folder
 
 if TYPE_CHECKING:
     from station.capture import CaptureCounts, Progress
+    from station.hand_motion import HandMotion
+    from station.recording import RecordingWriter
     from station.releasing import Ask
     from station.rig import Rig, RigFile
 
@@ -31,26 +30,26 @@ def versions() -> dict[str, str]:
     return {name: metadata.version(name) for name in VERSIONED}
 
 
-def capture(
-    rig: str,
-    motion: str,
-    out: Path,
-    *,
-    seed: int | None = None,
-    simulate: bool = False,
-    realtime: bool = False,
-    force: bool = False,
-    progress: Progress | None = None,
-) -> CaptureCounts:
-    """Run a motion on a rig into the session folder `out`.
+class CaptureSettings(TypedDict, total=False):
+    """How a capture is made.
 
-    Args:
-        rig, motion: names of packaged ones, or paths.
+    Attributes:
         seed: of everything random in a simulation.
         simulate: emulated bus and rendered camera whatever the rig names.
         realtime: the real clock also where all is simulated.
-        force: overwrite an earlier session in `out`.
+        force: overwrite an earlier session in the folder.
         progress: called with seconds done and in all.
+    """
+
+    seed: int | None
+    simulate: bool
+    realtime: bool
+    force: bool
+    progress: Progress | None
+
+
+def capture(rig: str, motion: str, out: Path, **settings: Unpack[CaptureSettings]) -> CaptureCounts:
+    """Run a motion on a rig (names of packaged ones, or paths) into the session folder `out`.
 
     Raises:
         StationError: a bad rig or motion, an occupied folder, a recording that can't be written.
@@ -60,58 +59,22 @@ def capture(
 
     rig_file = load_rig(rig)
     planned, motion_text = planned_motion(rig_file, motion)
-    check_output_folder(out, force=force)
-    return record_motion(
-        rig_file,
-        planned,
-        motion_text,
-        out,
-        seed=seed,
-        simulate=simulate,
-        realtime=realtime,
-        force=force,
-        progress=progress,
-    )
+    return record_motion(rig_file, planned, motion_text, out, **settings)
 
 
 def record_motion(
-    rig_file: RigFile,
-    planned: Plan,
-    motion_text: str,
-    out: Path,
-    *,
-    seed: int | None = None,
-    simulate: bool = False,
-    realtime: bool = False,
-    force: bool = False,
-    progress: Progress | None = None,
+    rig_file: RigFile, planned: Plan, motion_text: str, out: Path, **settings: Unpack[CaptureSettings]
 ) -> CaptureCounts:
-    """Run a planned motion on a rig into the session folder `out`; settings and errors as for `capture`."""
+    """Run a planned motion on a rig into the session folder `out`; errors as for `capture`."""
     from station.capture import Capture
-    from station.recording import RecordingWriter
-    from station.rig import open_rig
-    from station.view import session_blueprint
 
-    joints = tuple(joint.name for joint in planned.joints)
-    with open_rig(rig_file, simulate=simulate, realtime=realtime, seed=seed) as opened:
-        description = _description(rig_file, opened, planned.joints, motion_text)
-        start_ns = opened.clock.now_ns()
-        blueprint = session_blueprint(joints)
-        with RecordingWriter(out, description, start_ns=start_ns, blueprint=blueprint, force=force) as writer:
-            return Capture(opened, planned, writer, progress).run()
+    check_output_folder(out, force=settings.get("force", False))
+    with _opened(rig_file, settings) as opened, _writer(rig_file, opened, motion_text, out, settings) as writer:
+        return Capture(opened, planned, writer, settings.get("progress")).run()
 
 
 def capture_by_hand(
-    rig: str,
-    out: Path,
-    *,
-    ask: Ask,
-    duration_s: float | None = None,
-    seed: int | None = None,
-    simulate: bool = False,
-    realtime: bool = False,
-    force: bool = False,
-    progress: Progress | None = None,
+    rig: str, out: Path, *, ask: Ask, duration_s: float | None = None, **settings: Unpack[CaptureSettings]
 ) -> CaptureCounts:
     """Record an arm without torque, or an object of a rig without one, that people move by hand, into `out`.
 
@@ -119,42 +82,62 @@ def capture_by_hand(
         ask: is told before torque that is on is switched off; raises if that may not be.
         duration_s: until a KeyboardInterrupt if None; in a simulation until the made hand has done.
 
-    Other settings and errors as for `capture`.
+    Errors as for `capture`.
     """
     from station.hand_capture import HandCapture, take_in_hand
     from station.hand_motion import free_joints, hand_motion
-    from station.recording import RecordingWriter
-    from station.rig import RENDERED, load_rig, open_rig
-    from station.view import session_blueprint
+    from station.rig import RENDERED, load_rig
 
     rig_file = load_rig(rig)
-    check_output_folder(out, force=force)
+    check_output_folder(out, force=settings.get("force", False))
     table, by_hand = rig_file.table, None
-    limits = table.limits()
-    if table.simulation is not None and (simulate or table.camera.source == RENDERED):
-        by_hand = hand_motion(limits or free_joints(table.simulation.units()), duration_s)
+    if table.simulation is not None and (settings.get("simulate") or table.camera.source == RENDERED):
+        by_hand = hand_motion(table.limits() or free_joints(table.simulation.units()), duration_s)
         duration_s = duration_s or by_hand.duration_s
-    joints = tuple(joint.name for joint in limits)
-    with open_rig(rig_file, simulate=simulate, realtime=realtime, seed=seed, by_hand=by_hand) as opened:
+    with _opened(rig_file, settings, by_hand) as opened:
         take_in_hand(opened, ask)
-        description = _description(rig_file, opened, limits, None)
-        start_ns = opened.clock.now_ns()
-        blueprint = session_blueprint(joints)
-        with RecordingWriter(out, description, start_ns=start_ns, blueprint=blueprint, force=force) as writer:
-            return HandCapture(opened, writer, duration_s=duration_s, progress=progress).run()
+        with _writer(rig_file, opened, None, out, settings) as writer:
+            return HandCapture(opened, writer, duration_s=duration_s, progress=settings.get("progress")).run()
 
 
-def _description(
-    rig_file: RigFile, opened: Rig, limits: Sequence[JointLimits], motion: str | None
-) -> SessionDescription:
-    return SessionDescription(
+def _opened(
+    rig_file: RigFile, settings: CaptureSettings, by_hand: HandMotion | None = None
+) -> AbstractContextManager[Rig]:
+    from station.rig import open_rig
+
+    return open_rig(
+        rig_file,
+        simulate=settings.get("simulate", False),
+        realtime=settings.get("realtime", False),
+        seed=settings.get("seed"),
+        by_hand=by_hand,
+    )
+
+
+def _writer(
+    rig_file: RigFile, opened: Rig, motion: str | None, out: Path, settings: CaptureSettings
+) -> RecordingWriter:
+    """The recording of a session that starts now."""
+    from station.recording import RecordingWriter
+    from station.view import session_blueprint
+
+    limits = opened.table.limits()
+    joints = tuple(joint.name for joint in limits)
+    description = SessionDescription(
         camera=format_camera(opened.camera_model),
         markers=format_markers(opened.markers),
-        joints=tuple(joint.name for joint in limits),
+        joints=joints,
         units=tuple(joint.unit for joint in limits),
         rig=rig_file.text,
         motion=motion,
         started=datetime.now(UTC),
         seed=opened.seed,
         versions=versions(),
+    )
+    return RecordingWriter(
+        out,
+        description,
+        start_ns=opened.clock.now_ns(),
+        blueprint=session_blueprint(joints),
+        force=settings.get("force", False),
     )

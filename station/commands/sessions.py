@@ -4,20 +4,26 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import Unpack
 
-from station.commands.capturing import capture
+from station.commands.capturing import CaptureSettings, capture
 from station.commands.fitting import fit
 from station.commands.reporting import report_compared
 from station.compare import Comparison
 
 
 def run(
-    rig: str, motion: str, out: Path, *, stage: Callable[[str], None] | None = None, **settings: object
+    rig: str,
+    motion: str,
+    out: Path,
+    *,
+    stage: Callable[[str], None] | None = None,
+    **settings: Unpack[CaptureSettings],
 ) -> Comparison:
     """Capture, fit, compare and report: all of a session; settings as for `capture`; raises what each of them does."""
     say = stage or (lambda name: None)
     say("capture")
-    capture(rig, motion, out, **settings)  # type: ignore[arg-type]
+    capture(rig, motion, out, **settings)
     say("fit")
     fit(out)
     say("report")
