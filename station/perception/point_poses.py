@@ -29,8 +29,8 @@ FIRST_DAMPING = 1e-5  # share of the normal matrix's diagonal that is added to i
 DAMPING_FACTOR = 10.0
 LARGEST_DAMPING = 1e6
 # A step that promises less than this, in squared standard deviations, is the last one: the pose is then right to some
-# 3 % of its deviation. Of errors beyond chance, as the wrong pose of a square has them, a share counts as much.
-SMALL_GAIN = 1e-3
+# 1 % of its deviation. Of errors beyond chance, as the wrong pose of a square has them, a share counts as much.
+SMALL_GAIN = 1e-4
 # What points of unknown covariance are taken to have; it is their relative weights that count.
 NOMINAL_SIGMA_PX = 0.05
 
