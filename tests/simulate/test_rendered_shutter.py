@@ -8,12 +8,16 @@ import cv2
 import numpy as np
 import pytest
 
+from calibration.intrinsics import CameraModel
 from station.errors import InvalidData
+from station.kinematics import se3
 from station.logs import FloatArray
 from station.perception.corners import MarkerDetector
+from station.perception.markers import Marker, MarkerTable
 from station.simulate import render
 from station.simulate.render import CameraOptics
 from station.stage import SHUTTER_BANDS
+from station.tracking import observe_frames, track_parts
 from tests.simulate.test_render import (
     EDGE_POINTS,
     NO_DISTORTION,
@@ -114,6 +118,24 @@ def test_the_stations_corners_are_where_each_corners_own_time_puts_them() -> Non
     # px. The detector's own error is some 0.04.
     assert np.sqrt(np.mean(np.square(errors))) < 0.06
     assert np.abs(np.mean(errors, axis=0)).max() < 0.06
+
+
+def test_poses_are_those_of_the_frames_time_when_the_readout_is_known() -> None:
+    camera = optics((640, 480), 600.0, WEBCAM, blur_px=0.6, noise_grey=1.0, gamma=2.2)
+    model = CameraModel(camera.size_px, camera.matrix, camera.distortion)
+    table = MarkerTable("DICT_4X4_50", (Marker(0, "plate", SIZE_M),))
+    motion, t_s = swinging(0), np.arange(-6, 7) / 30.0
+    frames = [(t, drawn(lambda later, t=t: motion(t + later), camera)) for t in t_s]
+    seen = observe_frames(frames, table, model)
+    truth = np.stack([motion(t) for t in t_s])
+    within, turned = {}, {}
+    for readout_s in (0.0, READOUT_S):
+        T = track_parts(seen, table, model, readout_s=readout_s).poses.T_ref_part[1:-1, 0]  # both neighbours seen
+        apart = se3.log(se3.inverse(truth[1:-1]) @ T)
+        within[readout_s] = np.linalg.norm(apart[:, :3], axis=1).max()
+        turned[readout_s] = np.rad2deg(np.linalg.norm(apart[:, 3:], axis=1)).max()
+    assert turned[0.0] > 1.0 and within[0.0] > 2e-3  # deg, m: what leaving the shutter out costs
+    assert turned[READOUT_S] < 0.2 and within[READOUT_S] < 5e-4
 
 
 def test_knots_that_show_the_same_are_a_global_shutter() -> None:
