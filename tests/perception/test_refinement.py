@@ -6,6 +6,7 @@ import pytest
 
 from calibration.intrinsics import CameraModel, FloatArray
 from station.perception.edges import edge_shift_jacobian
+from station.perception.profiles import LIGHT_MARGIN_PX, linear_light
 from station.perception.refinement import refine_corners
 from tests.rendered_markers import marker_bits
 
@@ -132,3 +133,28 @@ def test_what_a_blurred_marker_shows_on_a_plain_card_is_enough(camera: CameraMod
     cv2.rectangle(image, (0, 100), (200, 300), 20, -1)
     corners = np.array([[[-0.5, 99.5], [200.5, 99.5], [200.5, 300.5], [-0.5, 300.5]]])
     assert not refine_corners(image, corners, np.zeros((1, 4, 6)), camera).good[0]
+
+
+def test_a_smear_is_in_the_covariance_or_the_marker_is_dropped(scene: Callable, camera: CameraModel) -> None:
+    squared, told = [], []
+    for seed in range(8):
+        image, ids, truth, rough = scene(20, 0.6, seed, noise_grey=1.0)
+        smeared = cv2.blur((image / 255.0) ** 2.2, (7, 1))  # in linear light, as motion along the rows does
+        seen = np.round(255 * smeared ** (1 / 2.2)).astype(np.uint8)
+        found = refine_corners(seen, rough, inner_bits(ids), camera)
+        error = found.corners_px - truth
+        squared.append(normalised_squares(error[found.good], found.covariance_px2[found.good], truth[found.good]))
+        told.append(np.abs(error[found.good]).max(initial=0.0))
+    assert 0.2 < np.concatenate(squared).mean() < 1.5  # 2.3 without the smear's part
+    assert max(told) < 0.3  # px
+
+
+def test_what_is_not_decoded_is_black() -> None:
+    square = np.array([[[100.0, 100], [150, 100], [150, 150], [100, 150]]])
+    around = slice(100 - LIGHT_MARGIN_PX, 150 + LIGHT_MARGIN_PX + 1)
+    for _ in range(3):
+        np.full((480, 640), np.inf, dtype=np.float32)  # memory that was used before
+        light = linear_light(np.full((480, 640), 200, np.uint8), square)
+        assert np.all(light[around, around] > 0.5)
+        light[around, around] = 0.0
+        assert not np.any(light)
