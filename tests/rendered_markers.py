@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import cv2
 import numpy as np
+from numpy.typing import ArrayLike
 
 from calibration.intrinsics import CameraModel, FloatArray
 from station.kinematics import se3
@@ -82,14 +83,15 @@ def developed(
     return np.clip(np.round(grey), 0, 255).astype(np.uint8)
 
 
-def facing(tilt_rad: float, azimuth_rad: float, spin_rad: float, t_m: Sequence[float]) -> FloatArray:
-    """(4, 4) T_cam_marker of a marker at t_m whose normal is `tilt_rad` off the line of sight, to `azimuth_rad`."""
+def facing(tilt_rad: ArrayLike, azimuth_rad: ArrayLike, spin_rad: ArrayLike, t_m: ArrayLike) -> FloatArray:
+    """(..., 4, 4) T_cam_marker at t_m (..., 3), the normal off the line of sight by `tilt_rad`, to `azimuth_rad`."""
     t = np.asarray(t_m, dtype=np.float64)
-    sight = se3.rotation_between(np.array([0.0, 0.0, 1.0]), t / np.linalg.norm(t))
-    facing_camera = np.diag([1.0, -1.0, -1.0])
-    axis = np.array([np.cos(azimuth_rad), np.sin(azimuth_rad), 0.0])
-    R = sight @ se3.exp_so3(axis * tilt_rad) @ facing_camera @ se3.exp_so3(np.array([0, 0, spin_rad]))
-    return se3.pose(R, t)
+    tilt, azimuth, spin = np.broadcast_arrays(tilt_rad, azimuth_rad, spin_rad)
+    zero = np.zeros(tilt.shape)
+    axis = np.stack([np.cos(azimuth), np.sin(azimuth), zero], axis=-1)
+    sight = se3.rotation_between(np.array([0.0, 0.0, 1.0]), t / np.linalg.norm(t, axis=-1, keepdims=True))
+    turned = se3.exp_so3(axis * tilt[..., None]) @ np.diag([1.0, -1.0, -1.0])
+    return se3.pose(sight @ turned @ se3.exp_so3(np.stack([zero, zero, spin], axis=-1)), t)
 
 
 def webcam(size_px: tuple[int, int] = (640, 480)) -> CameraModel:

@@ -19,7 +19,8 @@ from station.kinematics import se3
 from station.logs import FloatArray
 from station.tracking import TrackedParts, track_parts
 from tests.benchmarks.arguments import parser, trials_of
-from tests.benchmarks.watched_marker import CAMERA, FPS, TABLE, facing, observed
+from tests.benchmarks.watched_marker import CAMERA, FPS, TABLE, observed
+from tests.rendered_markers import facing
 
 DISTANCES_M = (0.6, 1.2)
 FRAMES = 150
@@ -70,7 +71,7 @@ def sweep(name: str, distance_m: float, seed: int) -> np.ndarray:
     t_s = np.arange(FRAMES) / FPS
     tilt, place = SWEEPS[name]
     azimuth, spin = rng.uniform(0, 2 * np.pi, 2)
-    truth = facing(tilt(t_s), azimuth + 0 * t_s, spin + 0 * t_s, distance_m * place(t_s))
+    truth = facing(np.deg2rad(tilt(t_s)), azimuth + 0 * t_s, spin + 0 * t_s, distance_m * place(t_s))
     tracked = track_parts(observed(truth, seed=seed), TABLE, CAMERA)
     chosen, flagged = tracked.choice.chosen[:, 0], tracked.choice.ambiguous[:, 0]
     alone, over_time = flipped(tracked, 0 * chosen, truth), flipped(tracked, chosen, truth)

@@ -23,8 +23,9 @@ from station.perception.pose import UNIT_CORNERS, estimate_poses
 from station.perception.rolling_shutter import row_delay_s
 from station.tracking import TrackedParts, track_parts
 from tests.benchmarks.arguments import parser, trials_of
-from tests.benchmarks.watched_marker import CAMERA, DICTIONARY, FPS, SIZE_M, TABLE, facing, observed
+from tests.benchmarks.watched_marker import CAMERA, FPS, SIZE_M, TABLE, observed
 from tests.noisy_corners import of_edges
+from tests.rendered_markers import DICTIONARY, facing
 
 TILTS_DEG = (0, 3, 6, 10, 20, 40, 60, 70)
 DISTANCES_M = (0.3, 0.6, 1.0)
@@ -42,7 +43,7 @@ def places(rng: np.random.Generator, count: int, tilt_deg: float, distance_m: fl
     across = rng.uniform((-0.3, -0.2), (0.3, 0.2), (count, 2)) * distance_m
     t_m = np.concatenate([across, np.full((count, 1), distance_m)], axis=1)
     azimuth, spin = rng.uniform(0, 2 * np.pi, (2, count))
-    return facing(np.full(count, float(tilt_deg)), azimuth, spin, t_m)
+    return facing(np.full(count, np.deg2rad(tilt_deg)), azimuth, spin, t_m)
 
 
 def corners(T_cam_part: FloatArray, table: MarkerTable) -> FloatArray:

@@ -6,33 +6,17 @@ from functools import cache
 
 import numpy as np
 
-from calibration.intrinsics import CameraModel
-from station.kinematics import se3
 from station.logs import FloatArray
 from station.perception.markers import Marker, MarkerTable
 from station.perception.observations import ObservationLog
 from station.simulate.render import SceneRenderer
 from station.simulate.scene import CameraOptics, Plate
 from station.tracking import observe_frames
+from tests.rendered_markers import DICTIONARY, webcam
 
 SIZE_M, MARGIN_M, FPS = 0.05, 0.012, 30.0
-DICTIONARY = "DICT_4X4_50"
-CAMERA = CameraModel(
-    size_px=(640, 480),
-    matrix=np.array([[600.0, 0, 321.5], [0, 602.0, 238.0], [0, 0, 1]]),
-    distortion=np.array([0.06, -0.12, 0.0008, -0.0005, 0.0]),
-)
+CAMERA = webcam()
 TABLE = MarkerTable(DICTIONARY, (Marker(4, "lid", SIZE_M),))
-
-
-def facing(tilt_deg: FloatArray, azimuth_rad: FloatArray, spin_rad: FloatArray, t_m: FloatArray) -> FloatArray:
-    """(F, 4, 4) T_cam_marker at t_m (F, 3), the normal off the line of sight by tilts (F,), whose sign is a side."""
-    tilt_rad, azimuth_rad, spin_rad = np.broadcast_arrays(np.deg2rad(tilt_deg), azimuth_rad, spin_rad)
-    zero = np.zeros_like(tilt_rad)
-    axis = np.stack([np.cos(azimuth_rad), np.sin(azimuth_rad), zero], axis=-1)
-    sight = se3.rotation_between(np.array([0.0, 0.0, 1.0]), t_m)
-    spin = se3.exp_so3(np.stack([zero, zero, spin_rad], axis=-1))
-    return se3.pose(sight @ se3.exp_so3(axis * tilt_rad[..., None]) @ np.diag([1.0, -1.0, -1.0]) @ spin, t_m)
 
 
 @cache
