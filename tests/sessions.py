@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from station.capture import CaptureCounts
+from station.capture.counts import CaptureCounts
 from station.commands import capturing
 
 # Two joints move by enough to be found; two seconds and a half.

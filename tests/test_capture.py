@@ -15,7 +15,8 @@ import pytest
 
 from drivers.camera import Frame
 from drivers.errors import ArmFault, BusLost, CameraStalled
-from station.capture import Capture, CaptureCounts
+from station.capture.counts import CaptureCounts
+from station.capture.service import Capture
 from station.commands import capturing, planning
 from station.errors import LimitExceeded, OutputExists
 from station.recording import Recording

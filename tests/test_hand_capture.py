@@ -17,11 +17,11 @@ from drivers.camera import Camera
 from drivers.clock import VirtualClock
 from drivers.dynamixel import DynamixelBus
 from drivers.errors import SafetyStop
+from station.capture.by_hand import HandCapture, take_in_hand
 from station.commands import capturing
 from station.emulated_arm import EmulatedArm
 from station.errors import InvalidData
 from station.formats.rig import parse_rig
-from station.hand_capture import HandCapture, take_in_hand
 from station.hand_motion import hand_motion
 from station.recording import Recording
 from station.rig import Rig, load_rig

@@ -16,7 +16,7 @@ from drivers.camera import Camera
 from drivers.clock import VirtualClock
 from drivers.dynamixel import DynamixelBus
 from drivers.errors import BusLost, DriverError, SafetyStop, ServoFault
-from station.capture import Capture
+from station.capture.service import Capture
 from station.commands import planning
 from station.emulated_arm import EmulatedArm
 from station.formats.rig import parse_rig

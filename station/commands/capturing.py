@@ -15,7 +15,8 @@ from station.motion import Plan
 from station.session import SessionDescription, check_output_folder
 
 if TYPE_CHECKING:
-    from station.capture import CaptureCounts, Progress
+    from station.capture.counts import CaptureCounts
+    from station.capture.service import Progress
     from station.hand_motion import HandMotion
     from station.recording import RecordingWriter
     from station.releasing import Ask
@@ -66,7 +67,7 @@ def record_motion(
     rig_file: RigFile, planned: Plan, motion_text: str, out: Path, **settings: Unpack[CaptureSettings]
 ) -> CaptureCounts:
     """Run a planned motion on a rig into the session folder `out`; errors as for `capture`."""
-    from station.capture import Capture
+    from station.capture.service import Capture
 
     check_output_folder(out, force=settings.get("force", False))
     with _opened(rig_file, settings) as opened, _writer(rig_file, opened, motion_text, out, settings) as writer:
@@ -84,7 +85,7 @@ def capture_by_hand(
 
     Errors as for `capture`.
     """
-    from station.hand_capture import HandCapture, take_in_hand
+    from station.capture.by_hand import HandCapture, take_in_hand
     from station.hand_motion import free_joints, hand_motion
     from station.rig import RENDERED, load_rig
 

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 
-from station.capture import NS_PER_S, SERVO_RATE_HZ, CaptureCounts, FrameWorker, Progress
+from station.capture.counts import CaptureCounts
+from station.capture.frame_worker import FrameWorker
+from station.capture.service import NS_PER_S, SERVO_RATE_HZ, Progress
 from station.recording import RecordingWriter
 from station.releasing import Ask, release
 from station.rig import Rig

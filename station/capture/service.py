@@ -8,27 +8,21 @@ counts it.
 from __future__ import annotations
 
 import json
-import queue
-import threading
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass
-from types import TracebackType
 
 import numpy as np
 
-from drivers.camera import Frame
 from drivers.errors import ArmFault, BusLost, DriverError, NoReply
+from station.capture.counts import CaptureCounts
+from station.capture.frame_worker import FrameWorker
 from station.logs import FloatArray
 from station.motion import Plan
-from station.perception.marker_tracker import MarkerTracker
 from station.recording import RecordingWriter
 from station.rig import Rig
-from station.tracking import observe
 
 NS_PER_S = 1_000_000_000
 SERVO_RATE_HZ = 50.0
-QUEUED_FRAMES = 32
 # Approaching the start and parking: no faster than this (rad/s, m/s), so that a person can step back.
 APPROACH_SPEED = {"rad": np.radians(20.0), "m": 0.02}
 # A joint within this (rad, m) of its goal has arrived; servos hold to a count or two (0.3 deg each on AX).
@@ -44,79 +38,6 @@ PATIENCE_S = 3.0
 RECONNECT_EVERY_S = 0.2
 
 Progress = Callable[[float, float], None]
-
-
-@dataclass(frozen=True)
-class CaptureCounts:
-    """What happened to the samples of a session."""
-
-    frames: int
-    dropped_frames: int
-    stale_frames: int
-    commands: int
-    readings: int
-    bus_errors: int
-
-    def as_dict(self) -> dict[str, int]:
-        """The counts by name, as in session.json."""
-        return {name: getattr(self, name) for name in self.__dataclass_fields__}
-
-
-class FrameWorker:
-    """Detects the markers of frames and records both, one frame after another, in a thread of its own.
-
-    Raises, from `put` and on leaving, what went wrong in the thread.
-    """
-
-    def __init__(self, rig: Rig, writer: RecordingWriter) -> None:
-        self._rig = rig
-        self._writer = writer
-        ids = [marker.id for marker in rig.markers.markers]
-        self._detector = MarkerTracker(rig.markers.dictionary, rig.camera_model, ids)
-        self._frames: queue.Queue[Frame | None] = queue.Queue(QUEUED_FRAMES)
-        self._failure: BaseException | None = None
-        self._thread = threading.Thread(target=self._run, name="frames", daemon=True)
-        self.recorded = 0
-        self.dropped = 0
-
-    def __enter__(self) -> FrameWorker:
-        self._thread.start()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._frames.put(None)
-        self._thread.join()
-        if kind is None:
-            self._check()
-
-    def put(self, frame: Frame) -> None:
-        """Hand over a frame; with no place left, waits on a virtual clock, drops and counts it on a real one."""
-        self._check()
-        try:
-            self._frames.put(frame, block=self._rig.virtual)
-        except queue.Full:
-            self.dropped += 1
-
-    def _check(self) -> None:
-        if self._failure is not None:
-            raise self._failure
-
-    def _run(self) -> None:
-        while (frame := self._frames.get()) is not None:
-            if self._failure is not None:
-                continue  # drain, so that nobody waits on a full queue
-            try:
-                self._record(frame)
-            except BaseException as error:  # carried to the thread that can act on it
-                self._failure = error
-
-    def _record(self, frame: Frame) -> None:
-        found = self._detector.detect(frame.image)
-        markers = observe(found, self._rig.markers, self._rig.camera_model)
-        self._writer.log_frame(frame.index, frame.t_ns, frame.image, markers)
-        self.recorded += 1
 
 
 class Capture:

@@ -1,0 +1,55 @@
+"""What people ask of a capture while it runs: pause, go on, stop."""
+
+from __future__ import annotations
+
+import threading
+from enum import StrEnum
+
+
+class Wish(StrEnum):
+    """What is asked for at present."""
+
+    RUN = "run"
+    PAUSE = "pause"
+    STOP = "stop"
+
+
+class Control:
+    """Wishes for a running capture, from any thread or a signal's handler; the servo loop looks at them each turn.
+
+    A stop can't be taken back.
+    """
+
+    def __init__(self) -> None:
+        self._wish = Wish.RUN
+        self._changed = threading.Condition(threading.RLock())  # a signal may interrupt its own thread in here
+
+    @property
+    def wish(self) -> Wish:
+        """What is asked for at present."""
+        with self._changed:
+            return self._wish
+
+    def pause(self) -> None:
+        """Hold the arm where it is, until `resume` or `stop`."""
+        self._ask(Wish.PAUSE)
+
+    def resume(self) -> None:
+        """Go on from the last checkpoint."""
+        self._ask(Wish.RUN)
+
+    def stop(self) -> None:
+        """End the capture: bring the arm into the state that the rig declares, close the recording."""
+        self._ask(Wish.STOP)
+
+    def wait_while_paused(self, timeout_s: float) -> Wish:
+        """Wait until something else than a pause is asked for, or for so long; returns what is asked for then."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._wish != Wish.PAUSE, timeout_s)
+            return self._wish
+
+    def _ask(self, wish: Wish) -> None:
+        with self._changed:
+            if self._wish != Wish.STOP:
+                self._wish = wish
+                self._changed.notify_all()
