@@ -623,7 +623,7 @@ def test_joints_read_one_after_the_other_are_brought_to_one_time(tmp_path: Path)
 
 def test_a_recording_without_corner_covariances_is_read(tmp_path: Path, frames: list[MadeFrame], monkeypatch) -> None:
     older = {name: shape for name, shape in MARKER_SHAPES.items() if name != "corner_covariance_px2"}
-    monkeypatch.setattr("station.recording.writer.MARKER_SHAPES", older)
+    monkeypatch.setattr("station.recording.session_rows.MARKER_SHAPES", older)
     seen = Recording.load(make_session(tmp_path / "older", frames)).observations
     assert np.all(np.isnan(seen.corner_covariance_px2))
     assert seen.corners_px.tobytes() == np.concatenate([f.markers.corners_px for f in frames]).tobytes()
