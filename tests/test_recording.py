@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import signal
-import socket
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -286,29 +285,6 @@ def test_rerun_off_in_the_environment_is_an_error(tmp_path: Path, monkeypatch: p
     with pytest.raises(StationError, match="RERUN=off"):
         RecordingWriter(tmp_path / "s", describe(), start_ns=0)
     assert not (tmp_path / "s").exists()
-
-
-def test_a_taken_port_is_an_error(tmp_path: Path) -> None:
-    with socket.create_server(("127.0.0.1", 0)) as taken:
-        port = taken.getsockname()[1]
-        with pytest.raises(StationError, match=f"port {port}"):
-            RecordingWriter(tmp_path / "s", describe(), start_ns=0, viewer_port=port)
-    assert not (tmp_path / "s").exists()
-
-
-def test_a_live_view_listens_on_this_machine_only(tmp_path: Path) -> None:
-    with socket.create_server(("127.0.0.1", 0)) as free:
-        port = free.getsockname()[1]
-    with RecordingWriter(tmp_path / "s", describe(), start_ns=0, viewer_port=port):
-        assert f"0100007F:{port:04X}" in listening()
-        assert f"00000000:{port:04X}" not in listening()
-    assert f"0100007F:{port:04X}" not in listening()
-
-
-def listening() -> set[str]:
-    """Addresses and ports that listen, as the kernel lists them: IPv4 in hexadecimal, little-endian."""
-    rows = [line.split() for line in Path("/proc/net/tcp").read_text().splitlines()[1:]]
-    return {row[1] for row in rows if row[3] == "0A"}
 
 
 def test_nothing_is_logged_after_closing(tmp_path: Path) -> None:

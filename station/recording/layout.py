@@ -19,6 +19,7 @@ DETECTED = "joints/detected"
 OBSERVATIONS = "observations"
 IMAGE = "camera/image"
 OVERLAY = "camera/image/markers"
+LIVE_IMAGE = "camera/image/live"  # of the live view alone: smaller than the camera's
 TRANSFORMS = "tf/markers"
 MARKERS = "markers"
 EVENTS = "log"
@@ -41,6 +42,7 @@ LEVEL, TEXT = "TextLog:level", "TextLog:text"
 # Frames of the viewer's transform graph.
 CAMERA_FRAME = "camera"
 IMAGE_FRAME = "camera_image"
+LIVE_IMAGE_FRAME = "camera_image_live"
 
 
 def marker_frame(marker_id: int) -> str:

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import os
 import shutil
-import socket
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import rerun as rr
@@ -23,7 +22,7 @@ if TYPE_CHECKING:
 
 # Between two flushes, s of the wall clock.
 FLUSH_PERIOD_S = 0.5
-# A flush that takes longer means that the disk or the viewer takes nothing any more, s.
+# A flush that takes longer means that the disk takes nothing any more, s.
 FLUSH_TIMEOUT_S = 5.0
 # Waiting for the end of a file that could not be written, s.
 END_TIMEOUT_S = 2.0
@@ -31,18 +30,6 @@ END_TIMEOUT_S = 2.0
 # limit before each tick, nothing else would ever be written; hence far more than a tick's worth of images.
 BATCH_BYTES = 64 << 20
 BATCH_TICK_S = 0.5
-SERVER_MEMORY = "256MiB"
-
-
-def check_port(port: int) -> None:
-    """Raise StationError unless the port is free: rerun would say so only at each flush, without naming it."""
-    with socket.socket() as probe:
-        # As rerun's own server does; otherwise a port stays taken for a minute after the last session.
-        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        try:
-            probe.bind(("127.0.0.1", port))
-        except OSError as error:
-            raise StationError(f"port {port} of the live view can't be used: {error.strerror}; name another") from error
 
 
 @contextmanager
@@ -69,11 +56,14 @@ def check_rerun() -> None:
         raise StationError("RERUN=off is set in the environment, so nothing would be recorded; unset RERUN")
 
 
-def open_stream(recording_id: str) -> rr.RecordingStream:
-    """A stream of this recording in rerun's strict mode; raises StationError where RERUN=off disables it."""
+def open_stream(recording_id: str, tick_s: float = BATCH_TICK_S) -> rr.RecordingStream:
+    """A stream of this recording in rerun's strict mode, which batches for `tick_s`.
+
+    Raises StationError where the environment disables rerun.
+    """
     check_rerun()
     rr.set_strict_mode(True)  # otherwise bad data is dropped with a warning
-    batching = rr.ChunkBatcherConfig(flush_tick=BATCH_TICK_S, flush_num_bytes=BATCH_BYTES)
+    batching = rr.ChunkBatcherConfig(flush_tick=tick_s, flush_num_bytes=BATCH_BYTES)
     stream = rr.RecordingStream(APPLICATION, recording_id=recording_id, batcher_config=batching)
     if not rr.is_enabled(stream):
         raise StationError("rerun is disabled, so nothing would be recorded; look for RERUN in the environment")
@@ -94,7 +84,7 @@ class RrdStream:
 
     Args:
         start_ns: time 0 of the file, on the clock of the stamps that are logged.
-        viewer_port: serve a live view on this port of 127.0.0.1.
+        blueprint: the viewer's layout, kept in the file.
 
     Raises:
         StationError: the file can't be written.
@@ -107,7 +97,6 @@ class RrdStream:
         start_ns: int,
         *,
         blueprint: Blueprint | None = None,
-        viewer_port: int | None = None,
     ) -> None:
         self._path, self._start_ns = path, start_ns
         self._failure: StationError | None = None
@@ -117,16 +106,10 @@ class RrdStream:
         self._timer = threading.Thread(target=self._flush_by_the_clock, name="recording flush", daemon=True)
         try:
             with written(path):
-                self._set_sinks(blueprint, viewer_port)
+                self._stream.set_sinks(rr.FileSink(path), default_blueprint=blueprint)
         except BaseException:
             self.end()
             raise
-
-    def _set_sinks(self, blueprint: Blueprint | None, viewer_port: int | None) -> None:
-        sinks: list[Any] = [rr.FileSink(self._path)]
-        if viewer_port is not None:
-            sinks.append(rr.GrpcServerSink("127.0.0.1", viewer_port, server_memory_limit=SERVER_MEMORY))
-        self._stream.set_sinks(*sinks, default_blueprint=blueprint)
 
     @property
     def raw(self) -> rr.RecordingStream:
@@ -163,7 +146,7 @@ class RrdStream:
                 raise
 
     def end(self) -> None:
-        """Finish the file, and serve no viewer any more.
+        """Finish the file.
 
         For a file that failed rerun may wait here for ever, and once more when the program ends: then a thread waits in
         our place, which keeps the stream, and rerun is not asked to finish anything at the end.

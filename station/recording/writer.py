@@ -24,7 +24,7 @@ from station.errors import OutputExists, StationError
 from station.perception.observations import FrameMarkers
 from station.recording.earlier import Earlier, read_earlier
 from station.recording.lock import SessionLock
-from station.recording.rrd_stream import FLUSH_TIMEOUT_S, RrdStream, check_port, check_rerun, written
+from station.recording.rrd_stream import FLUSH_TIMEOUT_S, RrdStream, check_rerun, written
 from station.recording.session_rows import SessionRows
 from station.session import (
     MOTION_FILE,
@@ -58,14 +58,13 @@ class RecordingWriter:
         description: what the session is of.
         start_ns: the session's start on the clock of the stamps; logs count their seconds from there.
         blueprint: the viewer's layout, kept in the file.
-        viewer_port: serve a live view on this port of 127.0.0.1.
         force: replace an earlier session in the folder, its fit and its report.
         earlier: what `resume` goes on with.
 
     Raises:
         OutputExists: the folder has a recording, and `force` isn't given.
         SessionBusy: another program records into the folder.
-        StationError: RERUN=off in the environment, the port is taken, the file can't be written.
+        StationError: RERUN=off in the environment, the file can't be written.
     """
 
     def __init__(
@@ -75,7 +74,6 @@ class RecordingWriter:
         *,
         start_ns: int,
         blueprint: Blueprint | None = None,
-        viewer_port: int | None = None,
         force: bool = False,
         earlier: Earlier | None = None,
     ) -> None:
@@ -86,14 +84,12 @@ class RecordingWriter:
         self._closed = False
         self._rows = SessionRows(description)
         check_rerun()
-        if viewer_port is not None:
-            check_port(viewer_port)
         folder.mkdir(parents=True, exist_ok=True)
         self._lock = earlier.lock if earlier else SessionLock(folder)
         try:
             self._status = self._gone_on(earlier) if earlier else self._begun(force)
             write_status(folder, self._status)
-            self._open(blueprint, viewer_port)
+            self._open(blueprint)
         except BaseException:
             self._lock.release()
             raise
@@ -106,7 +102,6 @@ class RecordingWriter:
         now_ns: int,
         since_last_s: float | None = None,
         blueprint: Blueprint | None = None,
-        viewer_port: int | None = None,
     ) -> RecordingWriter:
         """Go on in a session that was interrupted or killed: the same recording, clock and frame numbers go on.
 
@@ -128,7 +123,6 @@ class RecordingWriter:
             earlier.description,
             start_ns=now_ns - round(earlier.elapsed_s * NS_PER_S),
             blueprint=blueprint,
-            viewer_port=viewer_port,
             earlier=earlier,
         )
 
@@ -263,11 +257,9 @@ class RecordingWriter:
         now = SessionStart(datetime.now(UTC), earlier.elapsed_s)
         return replace(earlier.status, state="recording", ended=None, starts=(*earlier.status.starts, now))
 
-    def _open(self, blueprint: Blueprint | None, viewer_port: int | None) -> None:
+    def _open(self, blueprint: Blueprint | None) -> None:
         earlier = self._earlier
-        self._stream = RrdStream(
-            self._path, self.recording_id, self._start_ns, blueprint=blueprint, viewer_port=viewer_port
-        )
+        self._stream = RrdStream(self._path, self.recording_id, self._start_ns, blueprint=blueprint)
         try:
             session_ns = earlier.start_ns if earlier else self._start_ns
             self._rows.begin(
