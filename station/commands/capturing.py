@@ -17,7 +17,7 @@ from station.session import SessionDescription, check_output_folder
 if TYPE_CHECKING:
     from station.capture.control import Control
     from station.capture.counts import CaptureCounts
-    from station.capture.detection import LiveView
+    from station.capture.live_view import LiveView
     from station.capture.servo_loop import Progress
     from station.capture.snapshot import Watcher
     from station.hand_motion import HandMotion
