@@ -97,11 +97,14 @@ class Program:
 
 
 @contextmanager
-def program(folder: Path, *arguments: str, session: Path | None = None, told: bool = True) -> Iterator[Program]:
-    """Run `station ARGUMENTS` with its ledger in `folder`/ledger; killed at the end if it still runs."""
+def program(folder: Path, *arguments: str, session: Path | None = None, breaks: str = "") -> Iterator[Program]:
+    """Run `station ARGUMENTS` with its ledger in `folder`/ledger; killed at the end if it still runs.
+
+    `breaks` names what shall fail in it, of tests/trials/told.py.
+    """
     ledger = folder / "ledger"
     with subprocess.Popen(
-        [*(interpreter(ledger) if told else STATION), *arguments],
+        [sys.executable, "-m", "tests.trials.told", str(ledger), breaks, *arguments],
         env=environment(folder),
         cwd=ROOT,
         stdin=subprocess.DEVNULL,
@@ -115,21 +118,15 @@ def program(folder: Path, *arguments: str, session: Path | None = None, told: bo
             process.kill()
 
 
-STATION = (sys.executable, "-c", "from station.cli import main; main()")
-
-
-def interpreter(ledger: Path) -> tuple[str, ...]:
-    """The command that runs the command line with its ledger."""
-    return (sys.executable, "-m", "tests.trials.told", str(ledger))
-
-
 def environment(folder: Path) -> dict[str, str]:
     """The environment of a program whose temporary files are in `folder`."""
     return {**os.environ, "PYTHONPATH": str(ROOT), "TMPDIR": str(folder)}
 
 
-def capture_arguments(folder: Path, *more: str, rig: str = "demo", motion: str = MOTION) -> Sequence[str]:
-    """`station capture` of the trial's motion in real time into `folder`/session."""
+def capture_arguments(
+    folder: Path, *more: str, rig: str = "demo", motion: str = MOTION, session: Path | None = None
+) -> Sequence[str]:
+    """`station capture` of the trial's motion in real time, into `folder`/session if no other is named."""
     (folder / "motion.toml").write_text(motion, encoding="utf-8")
-    session = str(folder / "session")
-    return ("capture", rig, str(folder / "motion.toml"), "--out", session, "--realtime", *more)
+    out = str(session or folder / "session")
+    return ("capture", rig, str(folder / "motion.toml"), "--out", out, "--realtime", *more)

@@ -1,8 +1,8 @@
 """Runs the command line and writes down, at once, all that it hands to the recording: what a kill can be held against.
 
-Run: python -m tests.trials.told LEDGER ARGUMENTS OF STATION. A line of the ledger is the time of the call and the stamp
-of what was handed over, both ns of the machine's monotonic clock, and what it was. A line is written before the call:
-it survives a kill as soon as the operating system has it.
+Run: python -m tests.trials.told LEDGER BREAKS ARGUMENTS OF STATION. BREAKS is empty or names what fails after a while.
+A line of the ledger is the time of the call and the stamp of what was handed over, both ns of the machine's monotonic
+clock, and what it was. A line is written before the call: it survives a kill as soon as the operating system has it.
 """
 
 from __future__ import annotations
@@ -60,9 +60,44 @@ def _tell_frames(fd: int) -> None:
     RenderedCamera.read = told
 
 
+class Breaks(RuntimeError):
+    """What nobody foresaw."""
+
+
+def _break(owner: type, name: str, after: int) -> None:
+    """Have a method fail from its so many-th call on."""
+    original, calls = getattr(owner, name), 0
+
+    def breaking(self: Any, *values: Any, **named: Any) -> Any:
+        nonlocal calls
+        calls += 1
+        if calls > after:
+            raise Breaks(f"{name} broke")
+        return original(self, *values, **named)
+
+    setattr(owner, name, breaking)
+
+
+def break_one(what: str) -> None:
+    """Have a part of the program fail when it has done some of its work."""
+    if what == "detection":
+        from station.perception.marker_tracker import MarkerTracker
+
+        _break(MarkerTracker, "detect", 30)
+    elif what == "recorder":
+        from station.recording import RecordingWriter
+
+        _break(RecordingWriter, "log_frame", 30)
+    elif what == "servo loop":
+        from station.recording import RecordingWriter
+
+        _break(RecordingWriter, "log_reading", 50)
+
+
 def main() -> None:
     """Run the command line, told."""
     tell_all(os.open(sys.argv.pop(1), os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644))
+    break_one(sys.argv.pop(1))
     from station import cli
 
     cli.main()
