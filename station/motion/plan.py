@@ -84,7 +84,7 @@ class Plan:
         return Plan(self.motion, self.joints, tuple(timed([head, *rest])))
 
     def command_times_s(self) -> FloatArray:
-        """(N,) times at which a command is sent: at each segment; at rate_hz while a streamed one moves, and at its end."""
+        """(N,) times of commands: at each segment; at rate_hz while a streamed one moves, and at its end."""
         if self.motion.mode == "step":
             return self.checkpoints_s
         return frozen_floats(np.unique(np.concatenate([self._ticks(segment) for segment in self.segments])))

@@ -234,13 +234,9 @@ def test_what_goes_too_far_or_too_fast_is_refused_with_step_joint_and_remedy():
         plan_motion(Motion("m", chosen, "stream" if mode == "stream" else "step"), (PAN, TILT, LIFT))
 
     ok = EachJoint()
-    with pytest.raises(
-        LimitExceeded, match=r"step 2 .*: pan would go to 91\.7 deg.* to 85\.9 deg\nlower its"
-    ):
+    with pytest.raises(LimitExceeded, match=r"step 2 .*: pan would go to 91\.7 deg.* to 85\.9 deg\nlower its"):
         plan(ok, Sinusoids({"pan": Wave(1.1, 0.1)}, 30.0))
-    with pytest.raises(
-        LimitExceeded, match=r"step 1 .*: tilt would reach 60\.0 deg/s; its greatest speed is 57\.3"
-    ):
+    with pytest.raises(LimitExceeded, match=r"step 1 .*: tilt would reach 60\.0 deg/s; its greatest speed is 57\.3"):
         plan(Sinusoids({"tilt": Wave(np.radians(60) / 2 / np.pi, 1.0)}, 30.0))
     with pytest.raises(LimitExceeded, match=r"step 1 .*: lift would move at 200\.0 mm/s; its greatest"):
         plan(EachJoint(speeds={"m": 0.2}))
