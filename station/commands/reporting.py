@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from calibration.lag import combined_lag
 from station.commands.fitting import Session, joint_types, load_session
 from station.compare import Comparison
 from station.compare import compare as compare_logs
@@ -83,7 +82,7 @@ def report_compared(session: Path, commands: Path | None) -> Comparison:
 
     comparison, recording, tree, states = _compare(session, commands)
     viewing = _viewing_of_joints(load_session(session), comparison, tree)
-    warnings = (*recording.notices, *tree.warnings, *_lag_warnings(comparison))
+    warnings = (*recording.notices, *tree.warnings, *_lag_warnings(comparison, recording))
     facts = _facts(session, recording) | ({"left alone": ", ".join(comparison.at_rest)} if comparison.at_rest else {})
     write_report(session / REPORT_FOLDER, comparison, tree, states, facts, viewing, warnings)
     return comparison
@@ -134,14 +133,15 @@ def _by_hand(recording: Recording) -> bool:
     return bool(len(recording.measured.t_s)) and not len(recording.commanded.t_s)
 
 
-def _lag_warnings(comparison: Comparison) -> tuple[str, ...]:
+def _lag_warnings(comparison: Comparison, recording: Recording) -> tuple[str, ...]:
     """Say how far the camera trails the servos, where that is certain and large enough to matter."""
-    measured = [joint.against_measured for joint in comparison.joints if joint.against_measured is not None]
-    lag = combined_lag(measured)
-    if lag is None or abs(lag[0]) < max(NOTABLE_LAG_S, 3 * lag[1]):
+    from station.report import session_lag_text
+
+    lag, rig = comparison.lag, recording.description.rig
+    if comparison.clock_lag_s is not None or not lag.std_s or abs(lag.applied_s) < max(NOTABLE_LAG_S, 3 * lag.std_s):
         return ()
-    trails = "trails" if lag[0] > 0 else "leads"
-    return (
-        f"the camera {trails} the servos by {abs(lag[0]) * 1e3:.1f} ms (std {lag[1] * 1e3:.1f} ms): "
-        "add that to latency_s under [camera] in the rig",
+    before_s = 0.0 if rig is None else parse_rig(rig, "rig").camera.latency_s
+    advice = (
+        f"set latency_s = {before_s + lag.applied_s:.4f} under [camera] in the rig: the next session then needs none"
     )
+    return (f"{session_lag_text(comparison)}\n{advice}",)

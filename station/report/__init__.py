@@ -2,7 +2,7 @@
 
 from station.report.figure7 import Viewing, figure7
 from station.report.page import save_figure, write_report
-from station.report.tables import summary_rows, tree_rows
+from station.report.tables import session_lag_text, summary_rows, tree_rows
 from station.report.tree_figure import tree_figure
 from station.report.visibility import Visibility, visibility_figure
 
@@ -11,6 +11,7 @@ __all__ = [
     "Visibility",
     "figure7",
     "save_figure",
+    "session_lag_text",
     "summary_rows",
     "tree_figure",
     "tree_rows",
