@@ -1,4 +1,4 @@
-"""From a motion to Figure 7: demo, run, capture, fit, compare, report, view, plan."""
+"""From a motion to Figure 7: demo, run, capture, fit, compare, report, view."""
 
 from __future__ import annotations
 
@@ -223,22 +223,6 @@ def view(session: SessionArgument) -> None:
     from station.commands import sessions
 
     sessions.view(session)
-
-
-@app.command()
-def plan(rig: RigArgument, motion: MotionArgument, as_json: Json = False) -> None:
-    """Check a whole motion against a rig's limits; nothing moves.
-
-    Prints what will be commanded when.
-    """
-    from station.commands import planning
-
-    planned = planning.plan(rig, motion)
-    rows = planning.plan_rows(planned)
-    if as_json:
-        print(json.dumps(planning.plan_document(planned), allow_nan=False))
-        return
-    table(f"motion '{planned.motion.name}' on {rig}: {planned.duration_s:.1f} s, within all limits", rows)
 
 
 def _show_comparison(comparison: Comparison, as_json: bool) -> None:
