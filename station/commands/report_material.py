@@ -124,8 +124,8 @@ def _timing(recording: Recording, rig: RigTable | None) -> Timing:
 
 
 def _servos(recording: Recording, rig: RigTable | None) -> Servos | None:
-    log = getattr(recording, "servos", None)
-    if log is None or not len(log.t_s):
+    log = recording.servos
+    if not len(log.t_s):
         return None
     return Servos(log.t_s, _servo_names(log.ids, rig), log.temperature_c, log.voltage_v, log.load)
 
