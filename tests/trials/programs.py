@@ -90,9 +90,9 @@ class Program:
         self.process.send_signal(number)
         return self.end()
 
-    def end(self) -> tuple[int, str]:
+    def end(self, patience_s: float = PATIENCE_S) -> tuple[int, str]:
         """Wait for the end; exit code and what it said on standard error."""
-        _, said = self.process.communicate(timeout=PATIENCE_S)
+        _, said = self.process.communicate(timeout=patience_s)
         return self.process.returncode, said
 
 
