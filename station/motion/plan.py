@@ -68,20 +68,21 @@ class Plan:
         """(N,) when each leg starts."""
         return frozen_floats([segment.t_start_s for segment in self.segments])
 
-    def from_leg(self, first: int) -> Plan:
-        """The rest of the plan from a leg on, starting at rest at t = 0: a leg in the middle of a curve gets under way
-        smoothly.
+    def restarted(self, leg: int) -> Plan:
+        """The plan for going on at rest where a leg starts: one in the middle of a curve gets under way smoothly, which
+        takes a little longer. Legs keep their numbers, earlier ones and the start of this one their times.
 
         Raises:
             InvalidData: there is no such leg.
         """
-        if not 0 <= first < len(self.segments):
-            raise InvalidData(f"motion '{self.motion.name}' has no leg {first}; its {len(self.segments)} count from 0")
-        head, *rest = self.segments[first:]
-        if head.curve is not None and head.curve_from_s > 0:
-            ramp_s = min(RAMP_S, head.move_s)
-            head = replace(head, under_way_s=ramp_s, move_s=head.move_s + ramp_s / 2)
-        return Plan(self.motion, self.joints, tuple(timed([head, *rest])))
+        if not 0 <= leg < len(self.segments):
+            raise InvalidData(f"motion '{self.motion.name}' has no leg {leg}; its {len(self.segments)} count from 0")
+        before, again, after = self.segments[:leg], self.segments[leg], self.segments[leg + 1 :]
+        if again.curve is None or again.curve_from_s == 0 or again.under_way_s > 0:
+            return self
+        ramp_s = min(RAMP_S, again.move_s)
+        again = replace(again, under_way_s=ramp_s, move_s=again.move_s + ramp_s / 2)
+        return replace(self, segments=(*before, *timed([again, *after], again.t_start_s)))
 
     def command_times_s(self) -> FloatArray:
         """(N,) times of commands: at each segment; at rate_hz while a streamed one moves, and at its end."""

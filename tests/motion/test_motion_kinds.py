@@ -203,22 +203,22 @@ def test_explorations_are_the_same_for_a_seed_and_cover_each_joint_evenly():
     assert sorted(tenths) == list(range(10))
 
 
-def test_a_plan_from_a_leg_on_is_the_rest_and_gets_under_way_smoothly():
+def test_a_leg_that_begins_again_in_the_middle_of_a_curve_gets_under_way_smoothly():
     plan = plan_motion(Motion("m", (EachJoint(), SinusoidsInReach()), "stream"), (PAN, TILT))
     cut = [k for k, leg in enumerate(plan.segments) if leg.curve is not None][2]
-    rest = plan.from_leg(cut)
-    np.testing.assert_array_equal(rest.start, plan.segments[cut].q_from)
-    assert len(rest.segments) == len(plan.segments) - cut and rest.segments[0].t_start_s == 0
-    late_s = rest.duration_s - (plan.duration_s - plan.segments[cut].t_start_s)
+    again, starts_s = plan.restarted(cut), plan.segments[cut].t_start_s
+    assert len(again.segments) == len(plan.segments) and again.segments[cut].t_start_s == starts_s
+    before_s = np.linspace(0.0, starts_s, 300)
+    np.testing.assert_array_equal(again.commanded(before_s), plan.commanded(before_s))
+    late_s = again.duration_s - plan.duration_s
     assert 0 < late_s < 0.5
-    t_s = np.linspace(1.0, rest.duration_s, 500)
-    then = plan.commanded(t_s - late_s + plan.segments[cut].t_start_s)
-    np.testing.assert_allclose(rest.commanded(t_s), then, atol=1e-12)
-    speeds = np.abs(np.diff(rest.commanded(np.arange(0.0, 2.0, FINE_S)), axis=0)) / FINE_S
+    later_s = np.linspace(starts_s + 1.0, again.duration_s, 500)
+    np.testing.assert_allclose(again.commanded(later_s), plan.commanded(later_s - late_s), atol=1e-12)
+    speeds = np.abs(np.diff(again.commanded(starts_s + np.arange(0.0, 2.0, FINE_S)), axis=0)) / FINE_S
     assert np.all(speeds[0] < 1e-3) and speeds.max() <= SLOW["rad"] * (1 + 1e-6)
-    np.testing.assert_array_equal(plan.from_leg(2).commanded(0.5), plan.commanded(plan.segments[2].t_start_s + 0.5))
+    assert plan.restarted(2) is plan and again.restarted(cut) is again
     with pytest.raises(InvalidData, match="has no leg 99"):
-        plan.from_leg(99)
+        plan.restarted(99)
 
 
 def test_an_extended_motion_keeps_the_legs_that_it_has():
