@@ -2,17 +2,26 @@
 
 from __future__ import annotations
 
-from contextlib import AbstractContextManager
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager, suppress
 from datetime import UTC, datetime
 from importlib import metadata
 from pathlib import Path
-from typing import TYPE_CHECKING, TypedDict, Unpack
+from typing import TYPE_CHECKING, Any, Protocol, TypedDict, Unpack
 
 from station.commands.planning import planned_motion
-from station.formats.camera import format_camera
+from station.errors import InvalidData, StationError
+from station.formats.camera import format_camera, parse_camera
 from station.formats.markers import format_markers
 from station.motion import Plan
-from station.session import SessionDescription, check_output_folder
+from station.session import (
+    MOTION_FILE,
+    RIG_FILE,
+    Checkpoint,
+    SessionDescription,
+    check_output_folder,
+    read_status,
+)
 
 if TYPE_CHECKING:
     from station.capture.control import Control
@@ -25,6 +34,8 @@ if TYPE_CHECKING:
     from station.releasing import Ask
     from station.rig import Rig, RigFile
 
+# On a virtual clock a session goes on so long after its last row: how long the machine took is of no account.
+VIRTUAL_GAP_S = 1.0
 # In the order of the report's facts.
 VERSIONED = ("capture-fit-station", "numpy", "scipy", "opencv-contrib-python-headless", "rerun-sdk", "dynamixel-sdk")
 
@@ -32,6 +43,22 @@ VERSIONED = ("capture-fit-station", "numpy", "scipy", "opencv-contrib-python-hea
 def versions() -> dict[str, str]:
     """Versions of the station and of what its numbers depend on."""
     return {name: metadata.version(name) for name in VERSIONED}
+
+
+class LiveServing(Protocol):
+    """Serves the live view of sessions."""
+
+    def serving(
+        self,
+        about: SessionDescription,
+        recording_id: str,
+        name: str,
+        start_ns: int,
+        blueprint: Any,
+        say: Callable[[str], None],
+    ) -> AbstractContextManager[LiveView]:
+        """Serve a session while the block runs; `say` is told why the view failed, if it does."""
+        ...
 
 
 class CaptureSettings(TypedDict, total=False):
@@ -45,7 +72,7 @@ class CaptureSettings(TypedDict, total=False):
         progress: called with seconds done and in all.
         control: what people ask of the capture while it runs: pause, go on, stop.
         watch: called some times a second with what the capture is doing.
-        live: is shown frames while there is time for it.
+        live: serves the session while it is captured.
     """
 
     seed: int | None
@@ -55,7 +82,7 @@ class CaptureSettings(TypedDict, total=False):
     progress: Progress | None
     control: Control | None
     watch: Watcher | None
-    live: LiveView | None
+    live: LiveServing | None
 
 
 def capture(rig: str, motion: str, out: Path, **settings: Unpack[CaptureSettings]) -> CaptureCounts:
@@ -79,8 +106,77 @@ def record_motion(
     from station.capture.service import Capture
 
     check_output_folder(out, force=settings.get("force", False))
-    with _opened(rig_file, settings) as opened, _writer(rig_file, opened, motion_text, out, settings) as writer:
-        return Capture(opened, planned, writer, **_wishes(settings)).run()
+    with _opened(rig_file, settings) as opened:
+        about = _described(rig_file, opened, motion_text)
+        with _writer(about, opened, out, settings) as writer, _shown(writer, about, out, opened, settings) as live:
+            return Capture(opened, planned, writer, live=live, **_wishes(settings)).run()
+
+
+def resume(session: Path, **settings: Unpack[CaptureSettings]) -> CaptureCounts:
+    """Go on with an interrupted session, also one that was killed, from its last checkpoint, into the same folder.
+
+    Rig, motion and camera are the session's own copies. The arm goes slowly from where it stands to where the leg that
+    was cut begins, and does that leg again. A session of a simulation goes on in the simulation, with its seed.
+
+    Returns the counts of what is captured now; session.json has those of the whole session.
+
+    Raises:
+        InvalidData: it was recorded by hand, or its motion.toml isn't the one that it was captured with.
+        StationError: there is nothing to go on with: no session, a complete one, or one that is being recorded.
+        DriverError: as for `capture`.
+    """
+    from station.capture.service import Capture
+    from station.recording import Recording, RecordingWriter
+    from station.view import session_blueprint
+
+    check_resumable(session)
+    about = Recording.load(session).description
+    rig_file = _own_rig(session, about)
+    planned, _ = planned_motion(rig_file, str(session / MOTION_FILE))
+    first_leg = _leg_to_go_on_from(session, planned, read_status(session).progress)
+    settings["seed"] = about.seed
+    settings["simulate"] = about.seed is not None
+    with (
+        _opened(rig_file, settings) as opened,
+        RecordingWriter.resume(
+            session,
+            now_ns=opened.clock.now_ns(),
+            since_last_s=VIRTUAL_GAP_S if opened.virtual else None,
+            blueprint=session_blueprint(about.joints),
+        ) as writer,
+        _shown(writer, about, session, opened, settings) as live,
+    ):
+        return Capture(opened, planned, writer, live=live, first_leg=first_leg, **_wishes(settings)).run()
+
+
+def check_resumable(session: Path) -> None:
+    """Raise StationError unless the session is an interrupted one with a motion."""
+    if read_status(session).state == "complete":
+        raise InvalidData(f"{session} is complete: there is nothing to go on with; record into another folder")
+    if not (session / MOTION_FILE).is_file():
+        raise InvalidData(
+            f"{session} was recorded by hand: nobody knows where it is to go on; record into another folder"
+        )
+
+
+def _own_rig(session: Path, about: SessionDescription) -> RigFile:
+    """The rig as the session has it, with the camera as it was calibrated then."""
+    from station.rig import RigFile
+    from station.rig_reading import read_rig
+
+    table, text, path = read_rig(str(session / RIG_FILE))
+    return RigFile(table, text, str(path), parse_camera(about.camera, f"{session}, camera.toml"))
+
+
+def _leg_to_go_on_from(session: Path, planned: Plan, reached: Checkpoint | None) -> int:
+    if reached is None:
+        return 0
+    if reached.legs != len(planned.segments):
+        raise InvalidData(
+            f"{session / MOTION_FILE} has {len(planned.segments)} legs; the session was captured with {reached.legs}\n"
+            "put the session's own motion.toml back, or record into another folder"
+        )
+    return reached.leg
 
 
 def capture_by_hand(
@@ -106,8 +202,9 @@ def capture_by_hand(
         duration_s = duration_s or by_hand.duration_s
     with _opened(rig_file, settings, by_hand) as opened:
         take_in_hand(opened, ask)
-        with _writer(rig_file, opened, None, out, settings) as writer:
-            return HandCapture(opened, writer, duration_s=duration_s, **_wishes(settings)).run()
+        about = _described(rig_file, opened, None)
+        with _writer(about, opened, out, settings) as writer, _shown(writer, about, out, opened, settings) as live:
+            return HandCapture(opened, writer, duration_s=duration_s, live=live, **_wishes(settings)).run()
 
 
 def _opened(
@@ -128,7 +225,6 @@ class _Wishes(TypedDict):
     progress: Progress | None
     control: Control | None
     watch: Watcher | None
-    live: LiveView | None
 
 
 def _wishes(settings: CaptureSettings) -> _Wishes:
@@ -137,23 +233,36 @@ def _wishes(settings: CaptureSettings) -> _Wishes:
         "progress": settings.get("progress"),
         "control": settings.get("control"),
         "watch": settings.get("watch"),
-        "live": settings.get("live"),
     }
 
 
-def _writer(
-    rig_file: RigFile, opened: Rig, motion: str | None, out: Path, settings: CaptureSettings
-) -> RecordingWriter:
-    """The recording of a session that starts now."""
-    from station.recording import RecordingWriter
+@contextmanager
+def _shown(
+    writer: RecordingWriter, about: SessionDescription, out: Path, opened: Rig, settings: CaptureSettings
+) -> Iterator[LiveView | None]:
+    """The session's live view, if one is wanted."""
     from station.view import session_blueprint
 
+    def say(why: str) -> None:
+        with suppress(StationError):  # it fails as the session ends
+            writer.log_event(opened.clock.now_ns(), "WARN", why)
+
+    server = settings.get("live")
+    if server is None:
+        yield None
+        return
+    blueprint = session_blueprint(about.joints)
+    with server.serving(about, writer.recording_id, out.resolve().name, writer.start_ns, blueprint, say) as view:
+        yield view
+
+
+def _described(rig_file: RigFile, opened: Rig, motion: str | None) -> SessionDescription:
+    """What a session that starts now is of."""
     limits = opened.table.limits()
-    joints = tuple(joint.name for joint in limits)
-    description = SessionDescription(
+    return SessionDescription(
         camera=format_camera(opened.camera_model),
         markers=format_markers(opened.markers),
-        joints=joints,
+        joints=tuple(joint.name for joint in limits),
         units=tuple(joint.unit for joint in limits),
         rig=rig_file.text,
         motion=motion,
@@ -161,10 +270,17 @@ def _writer(
         seed=opened.seed,
         versions=versions(),
     )
+
+
+def _writer(about: SessionDescription, opened: Rig, out: Path, settings: CaptureSettings) -> RecordingWriter:
+    """The recording of a session that starts now."""
+    from station.recording import RecordingWriter
+    from station.view import session_blueprint
+
     return RecordingWriter(
         out,
-        description,
+        about,
         start_ns=opened.clock.now_ns(),
-        blueprint=session_blueprint(joints),
+        blueprint=session_blueprint(about.joints),
         force=settings.get("force", False),
     )
