@@ -33,14 +33,15 @@ def eased_share(t_s: FloatArray, move_s: FloatArray, ramp_s: FloatArray) -> Floa
 
 def eased_move(way: FloatArray, speed: FloatArray, acceleration: FloatArray) -> tuple[float, float]:
     """Duration and ramp [s] of a move over ways (J,) that all joints take in step, none above its speed (J,) or
-    acceleration (J,), which may be infinite.
+    acceleration (J,), which may be infinite; nor does any get up to its speed in less than RAMP_S.
 
     The greatest speed is way / (move - ramp), the greatest acceleration pi / 2 of that over ramp.
     """
     even_s = float(np.max(way / speed, initial=0.0))
     if even_s == 0:
         return 0.0, 0.0
-    ramp_s = max(min(RAMP_S, even_s), float(np.max(np.pi / 2 * way / acceleration)) / even_s)
+    squared_s2 = float(np.max(np.pi / 2 * way / np.minimum(acceleration, np.pi / 2 * speed / RAMP_S)))
+    ramp_s = squared_s2 / even_s
     if ramp_s > even_s:  # too short a way to reach that speed
-        even_s = ramp_s = max(even_s, float(np.sqrt(np.max(np.pi / 2 * way / acceleration))))
+        even_s = ramp_s = float(np.sqrt(squared_s2))
     return even_s + ramp_s, ramp_s

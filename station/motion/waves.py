@@ -14,6 +14,9 @@ from station.motion.limits import JointLimits, Unit, slow_speeds
 from station.motion.segment import Mode, Segment, accelerations, curve_legs, eased_leg
 from station.motion.steps import NOWHERE, Reach, check_names, check_speeds
 
+# Sinusoids over a joint's reach are no quicker, however short that is.
+QUICKEST_HZ = 0.5
+
 
 @dataclass(frozen=True, eq=False, slots=True)
 class SinusoidCurve:
@@ -165,7 +168,7 @@ class SinusoidsInReach:
         turns = self.cycles + order // 2
         # Ramps of half the longest period are pi / omega at least, which makes (1 + 1/2) of the acceleration.
         omega = np.minimum(speed / amplitude, np.sqrt(acceleration / (1.5 * amplitude)))
-        full_s = float(np.max(2 * np.pi * turns / omega))
+        full_s = float(np.max(2 * np.pi * turns / np.minimum(omega, 2 * np.pi * QUICKEST_HZ)))
         ramp_s = 0.5 * full_s / self.cycles
         phase = np.pi / 2 * (order % 2) - 2 * np.pi * turns * ramp_s / full_s  # from the start of the full amplitude
         waves = {

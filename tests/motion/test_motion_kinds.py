@@ -91,9 +91,8 @@ def test_any_motion_starts_and_ends_at_rest_in_the_park_pose(joints: tuple[Joint
     end_s = plan.duration_s
     for at_s in (0.0, end_s):
         np.testing.assert_allclose(plan.commanded(at_s), plan.park, atol=1e-9)
-    tiny_s = 1e-4
-    slow = np.abs(plan.commanded([tiny_s, end_s - tiny_s]) - plan.park) / tiny_s
-    assert np.all(slow <= 0.02 * np.array([SLOW[joint.unit] for joint in joints]))
+    slow = np.abs(plan.commanded([FINE_S, end_s - FINE_S]) - plan.park) / FINE_S
+    assert np.all(slow <= 0.01 * np.array([SLOW[joint.unit] for joint in joints]))
 
 
 @settings(max_examples=40)
