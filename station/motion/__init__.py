@@ -6,6 +6,7 @@ from station.motion.plan import DEFAULT_RATE_HZ, Mode, Motion, Plan, Segment
 from station.motion.replay import Replay, replay_of
 from station.motion.step import Step
 from station.motion.steps import AT_MOST, SHARE, Combined, EachJoint, Explore, MotionStep, Reach
+from station.motion.telling import ToldLegs, told_legs
 from station.motion.waves import Sinusoids, SinusoidsInReach, Wave
 
 __all__ = [
@@ -28,9 +29,11 @@ __all__ = [
     "Sinusoids",
     "SinusoidsInReach",
     "Step",
+    "ToldLegs",
     "Unit",
     "Wave",
     "extended",
     "plan_motion",
     "replay_of",
+    "told_legs",
 ]
