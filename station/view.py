@@ -21,7 +21,7 @@ import rerun.blueprint as rrb
 from station.errors import InvalidFile, StationError
 from station.recording import layout
 from station.recording.live import HOST, free_port
-from station.session import FIT_FILE, FIT_FOLDER, RECORDING_FILE
+from station.session import FIT_FILE, FIT_FOLDER, RECORDING_FILE, recording_pieces
 
 if TYPE_CHECKING:
     from rerun.encodings import EntityPathLike
@@ -69,6 +69,7 @@ def _joint_views(joints: Sequence[str]) -> rrb.Tabs:
         rrb.TimeSeriesView(name="joints", origin="/", contents=[f"/{entity}" for entity in JOINT_STATES]),
         # One more than there are joints stands for all that a fit names otherwise.
         *[_joint_view(joint, [other == joint for other in (*joints, "")]) for joint in joints],
+        *([rrb.TimeSeriesView(name="servos", origin=f"/{layout.SERVOS}")] if joints else []),
     )
 
 
@@ -81,16 +82,17 @@ def _joint_view(joint: str, shown: Sequence[bool]) -> rrb.TimeSeriesView:
 
 
 def session_files(session: Path) -> list[Path]:
-    """The recording of a session folder, and its fit's where there is one; of an .rrd, itself.
+    """The pieces of a session folder's recording, and its fit's where there is one; of an .rrd, itself.
 
     Raises:
         InvalidFile: there is no recording.
     """
     recording = session / RECORDING_FILE if session.is_dir() else session
-    if not recording.is_file():
+    pieces = recording_pieces(session) if session.is_dir() else [session]
+    if not any(piece.is_file() for piece in pieces):
         raise InvalidFile(f"{recording} is missing; a session folder has its recording there")
     fit = session / FIT_FOLDER / FIT_FILE
-    return [path.resolve() for path in (recording, fit) if path.is_file()]
+    return [path.resolve() for path in (*pieces, fit) if path.is_file()]
 
 
 class Viewer:

@@ -110,7 +110,7 @@ def test_a_viewer_shows_the_sessions_recording_in_its_layout_and_keeps_it_after_
         while not (state := client.get_state()).views and time.monotonic() < deadline:
             time.sleep(0.1)
     assert [recording.store_id for recording in state.recordings] == ["Recording:station:made"]
-    assert {view.name for view in state.views} == {"space", "camera", "joints", *JOINTS, "log"}
+    assert {view.name for view in state.views} == {"space", "camera", "joints", *JOINTS, "servos", "log"}
     assert [report.summary for view in state.views for report in view.reports] == []
 
 

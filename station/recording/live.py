@@ -34,7 +34,7 @@ from station.recording.layout import (
     OVERLAY,
     TRANSFORMS,
 )
-from station.recording.writer import forget_ended_streams, open_stream
+from station.recording.rrd_stream import forget_ended_streams, open_stream
 from station.session import SessionDescription
 
 if TYPE_CHECKING:
