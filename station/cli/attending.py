@@ -13,17 +13,19 @@ from collections import deque
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from station.capture.control import Control, Wish
 from station.cli.dashboard import Dashboard, duration
 from station.cli.interrupts import Interrupts
 from station.cli.keys import Keys, somebody_there
+from station.cli.show import say_next
 
 if TYPE_CHECKING:
     from rich.live import Live
 
     from station.capture.snapshot import Snapshot
+    from station.commands.live import LiveServer
 
 # Between two pictures of the dashboard, s; between two looks at the disk.
 TICK_S = 0.2
@@ -61,6 +63,10 @@ class Attendant:
     def last(self) -> Snapshot | None:
         """The last snapshot that came."""
         return self._last
+
+    def settings(self) -> dict[str, Any]:
+        """The settings of a capture that this attends."""
+        return {"control": self.control, "watch": self.watch}
 
     def watch(self, snapshot: Snapshot) -> None:
         """Take a snapshot; from the capture's own thread, so this returns at once."""
@@ -142,7 +148,6 @@ class Disk:
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
-        self._free: list[tuple[float, int]] = []
         self._looked_s = -DISK_EVERY_S
         self._text = ""
 
@@ -169,10 +174,38 @@ def _line(now: Snapshot, before: Snapshot | None) -> str:
 
 
 @contextmanager
-def attended(out: Path, *, by_hand: bool = False, foot: str = "") -> Iterator[Attendant]:
-    """Show the capture that the block runs, have signals steer it; exits as the signal says that ended it early."""
+def attended(out: Path, live: LiveServer | None = None, *, by_hand: bool = False) -> Iterator[Attendant]:
+    """Show the capture that the block runs, have signals steer it, and say after any end what there is.
+
+    Exits as the signal says that ended it early.
+    """
+    foot = "" if live is None else f"live view {live.address}"
     attendant = Attendant(out, by_hand=by_hand, foot=foot)
-    with attendant, attendant.interrupts:
-        yield attendant
+    try:
+        with attendant, attendant.interrupts:
+            yield attendant
+    finally:
+        if attendant.last is not None:
+            say_next(*left(out, attendant.last))
     if attendant.interrupts.code is not None:
         raise SystemExit(attendant.interrupts.code)
+
+
+def left(out: Path, last: Snapshot) -> list[str]:
+    """What a capture left, after any end: what is in the folder, how the arm is, what can be done next."""
+    from station.errors import StationError
+    from station.session import MOTION_FILE, read_status
+
+    try:
+        status = read_status(out)
+    except StationError:
+        return []
+    arm = f"; {last.step}" if last.step.startswith("arm") else ""
+    if status.state == "complete":
+        lines = [f"{out} is complete: {status.counts.get('frames', 0)} frames{arm}"]
+    else:
+        lines = [f"stopped; what was recorded is in {out}: {status.counts.get('frames', 0)} frames{arm}"]
+    lines.append(f"fit it        station fit {out}")
+    if status.state != "complete" and (out / MOTION_FILE).exists():
+        lines.append(f"go on         station capture --resume {out}")
+    return lines

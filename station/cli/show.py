@@ -5,8 +5,10 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from station.compare import Comparison
 
 TABLE_WIDTH = 100
 
@@ -102,6 +104,23 @@ def progress() -> Iterator[Bar]:
         bar.finish()
 
 
+def show_comparison(comparison: Comparison, as_json: bool) -> None:
+    """Print a comparison: as a table, with what it leaves open, or as JSON."""
+    from station.comparison_files import comparison_json
+    from station.report import summary_rows
+
+    if as_json:
+        print(comparison_json(comparison))
+        return
+    told = not comparison.joints or any(joint.against_commanded is not None for joint in comparison.joints)
+    against = "read-back and command" if told else "read-back (there are no commands)"
+    table(f"Detected against {against}, after sign and offset only", summary_rows(comparison))
+    for name in comparison.unmatched_commanded:
+        warn(f"{name}: no detected joint follows it")
+    for name in comparison.unmatched_fitted:
+        warn(f"{name}: detected, but follows no joint of the arm")
+
+
 def asking(yes: bool) -> Callable[[str], None]:
     """Tells a person what happens next and waits for Enter; with `yes` it tells and goes on.
 
@@ -121,14 +140,3 @@ def asking(yes: bool) -> Callable[[str], None]:
             raise InvalidData("stopped; nothing was changed")
 
     return ask
-
-
-@contextmanager
-def saying_what_is_left(out: Path) -> Iterator[None]:
-    """After a signal, tell that the recording is whole, if there is one."""
-    try:
-        yield
-    except (KeyboardInterrupt, SystemExit):
-        if (out / "session.json").exists():
-            say_next(f"stopped; what was recorded is in {out}, fit it with: station fit {out}")
-        raise
