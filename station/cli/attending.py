@@ -35,7 +35,7 @@ END_S = 2.0
 
 PAUSED = "paused: the arm holds where it is. Enter: on from the last checkpoint. s, or Ctrl-C again: stop and park."
 STOPPING = "stopping: the arm is left as the rig declares."
-PATIENCE = "stopping: the arm is on its way and ends by itself. To stop it at once, cut the servos' power."
+PATIENCE = "parking, and ends by itself. To stop the arm at once, cut the servos' power."
 
 
 class Attendant:
@@ -117,7 +117,8 @@ class Attendant:
     def _draw(self, live: Live) -> None:
         if (snapshot := self._last) is None:
             return
-        foot = "   ".join(filter(None, (self._hint, self._foot)))
+        ends = self._ended.is_set() or self.control.wish is Wish.STOP
+        foot = "   ".join(filter(None, ("" if ends else self._hint, self._foot)))
         live.update(Dashboard(snapshot, self._disk.text(), self._asked(), foot), refresh=True)
 
     def _asked(self) -> str:

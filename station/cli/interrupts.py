@@ -10,7 +10,7 @@ from station.capture.control import Control, Wish
 from station.capture.states import State
 
 SIGNAL_CODE = 128
-# Until one of these is left nothing moves, and a signal ends the command at once.
+# Until another is entered nothing moves, and a signal ends the command at once.
 STILL = frozenset({State.IDLE, State.CHECKING})
 
 
@@ -39,7 +39,7 @@ class Interrupts:
 
     def entered(self, state: State) -> None:
         """The capture is in this state now."""
-        self._moves = self._moves or state not in STILL
+        self._moves = self._moves or self._by_hand or state not in STILL
 
     def stop(self) -> None:
         """Stop as a person's second Ctrl-C does."""

@@ -32,9 +32,7 @@ Headless = Annotated[
 ]
 Port = Annotated[
     int | None,
-    typer.Option(
-        "--port", min=1, max=65535, help="Port of the live view; a free one if not given.", show_default=False
-    ),
+    typer.Option("--port", min=1, max=65535, help="Port of the live view; else a free one.", show_default=False),
 ]
 Yes = Annotated[bool, typer.Option("--yes", help="Don't ask: the arm is held, and may drop.")]
 RigArgument = Annotated[

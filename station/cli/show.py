@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -33,7 +35,13 @@ def table(title: str, rows: list[list[str]]) -> None:
 
 def say_next(*lines: str) -> None:
     """Say on standard error what there is now and what can be done with it."""
-    print("\n".join(lines), file=sys.stderr)
+    try:
+        print("\n".join(lines), file=sys.stderr)
+    except OSError:  # the terminal is gone, which mustn't become the command's exit code
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        for stream in (1, 2):
+            os.dup2(nowhere, stream)
+        os.close(nowhere)
 
 
 def warn(text: str) -> None:
@@ -140,3 +148,14 @@ def asking(yes: bool) -> Callable[[str], None]:
             raise InvalidData("stopped; nothing was changed")
 
     return ask
+
+
+@contextmanager
+def saying_what_is_left(out: Path) -> Iterator[None]:
+    """After a signal, tell that the recording is whole, if there is one."""
+    try:
+        yield
+    except (KeyboardInterrupt, SystemExit):
+        if (out / "session.json").exists():
+            say_next(f"stopped; what was recorded is in {out}, fit it with: station fit {out}")
+        raise
