@@ -6,8 +6,8 @@ from drivers.errors import BusLost, NoReply
 from station.capture.control import Control, StopAsked
 from station.capture.counts import CaptureCounts
 from station.capture.crew import NS_PER_S, SERVO_RATE_HZ, Crew
-from station.capture.detection import LiveView
 from station.capture.ending import end
+from station.capture.live_view import LiveView
 from station.capture.pausing import heed
 from station.capture.recorder import SessionWriter
 from station.capture.servo_loop import RECONNECT_EVERY_S, Progress

@@ -7,9 +7,9 @@ import json
 from drivers.arm import ArmReading
 from station.capture.control import Control
 from station.capture.counts import CaptureCounts, Tally
-from station.capture.detection import LiveView
 from station.capture.frame_line import FrameLine
 from station.capture.journal import Journal
+from station.capture.live_view import LiveReading, LiveView
 from station.capture.recorder import Recorder, SessionWriter
 from station.capture.snapshot import Watcher
 from station.capture.states import State, StateMachine
@@ -42,7 +42,8 @@ class Crew:
         self.control = control or Control()
         self.tally, self.situation = Tally(), Situation()
         self.recorder = Recorder(writer, self.tally, waits=rig.virtual)
-        self.journal = Journal(rig.clock, self.recorder)
+        self.live = live
+        self.journal = Journal(rig.clock, self.recorder, live)
         self.frames = FrameLine(rig, self.recorder, self.journal, self.tally, live)
         self.states = StateMachine(self._entered)
         self.leaving = False
@@ -63,6 +64,9 @@ class Crew:
         """Read the arm, show it to who watches; recorded, beside the command that stands, where frames are."""
         reading = self.rig.arm.read()
         self.situation.reading = reading
+        if self.live is not None:
+            middle_ns = (reading.t_request_ns + reading.t_reply_ns) // 2
+            self.live.offer(LiveReading(middle_ns, reading.q, self.situation.goal))
         if self.frames.is_open:
             if self.situation.goal is not None:
                 self.recorder.command(reading.t_request_ns, self.situation.goal)
@@ -80,7 +84,8 @@ class Crew:
         """What was counted so far."""
         dropped, stale = self.frames.lost_since_open
         errors = sum(self.rig.arm.bus_errors.values()) if self.has_arm else 0
-        return self.tally.counts(dropped_by_camera=dropped, stale_frames=stale, bus_errors=errors)
+        shed = 0 if self.live is None else sum(self.live.shed.values())
+        return self.tally.counts(dropped_by_camera=dropped, stale_frames=stale, bus_errors=errors, live_view_shed=shed)
 
     def _entered(self, state: State) -> None:
         self.journal.info(f"state: {state}")

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from types import MappingProxyType
-from typing import Protocol
 
 from drivers.camera import Frame
 from station.capture.counts import Tally
+from station.capture.live_view import LiveFrame, LiveView
 from station.capture.worker import Worker
 from station.perception.marker_tracker import MarkerTracker
 from station.perception.observations import FrameMarkers
@@ -18,17 +18,6 @@ from station.tracking import observe
 FRAMES_WAITING = 8
 # The live view gets a frame only while fewer of the places are taken.
 LIVE_UP_TO = 0.5
-
-
-class LiveView(Protocol):
-    """What shows frames while they are taken."""
-
-    def offer(self, frame: Frame, markers: FrameMarkers | None) -> bool:
-        """Take a frame to show it, with its markers if they were looked for; False if there is no time for it.
-
-        Must return at once.
-        """
-        ...
 
 
 class Detection:
@@ -88,8 +77,12 @@ class Detection:
         self._show(frame, markers)
 
     def _show(self, frame: Frame, markers: FrameMarkers | None) -> None:
-        if self._live is not None and (self._busy or not self._live.offer(frame, markers)):
+        if self._live is None:
+            return
+        if self._busy:
             self._tally.add("live_view_shed")
+        else:
+            self._live.offer(LiveFrame(frame.index, frame.t_ns, frame.image, markers))
 
     @property
     def _busy(self) -> bool:

@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 from drivers.clock import Clock
+from station.capture.live_view import LiveEvent, LiveView
 from station.capture.recorder import Recorder
 
 
 class Journal:
     """Events of one capture, from any of its threads."""
 
-    def __init__(self, clock: Clock, recorder: Recorder) -> None:
-        self._clock, self._recorder = clock, recorder
+    def __init__(self, clock: Clock, recorder: Recorder, live: LiveView | None = None) -> None:
+        self._clock, self._recorder, self._live = clock, recorder, live
         self.said = ""
 
     def info(self, text: str) -> None:
         """Something that is as it should be."""
-        self._recorder.event(self._clock.now_ns(), "INFO", text)
+        self._event("INFO", text)
 
     def warn(self, text: str) -> None:
         """Something that people should know of."""
@@ -27,4 +28,10 @@ class Journal:
 
     def _say(self, level: str, text: str) -> None:
         self.said = text
-        self._recorder.event(self._clock.now_ns(), level, text)
+        self._event(level, text)
+
+    def _event(self, level: str, text: str) -> None:
+        now_ns = self._clock.now_ns()
+        self._recorder.event(now_ns, level, text)
+        if self._live is not None:
+            self._live.offer(LiveEvent(now_ns, level, text))

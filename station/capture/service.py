@@ -10,9 +10,9 @@ from __future__ import annotations
 from station.capture.control import Control, StopAsked
 from station.capture.counts import CaptureCounts
 from station.capture.crew import Crew
-from station.capture.detection import LiveView
 from station.capture.ending import end
 from station.capture.leaving import leave
+from station.capture.live_view import LiveView
 from station.capture.recorder import SessionWriter
 from station.capture.servo_loop import Progress, ServoLoop
 from station.capture.snapshot import Watcher

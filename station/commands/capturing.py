@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, nullcontext
 from datetime import UTC, datetime
 from importlib import metadata
 from pathlib import Path
@@ -17,9 +17,10 @@ from station.session import SessionDescription, check_output_folder
 if TYPE_CHECKING:
     from station.capture.control import Control
     from station.capture.counts import CaptureCounts
-    from station.capture.detection import LiveView
+    from station.capture.live_view import LiveView
     from station.capture.servo_loop import Progress
     from station.capture.snapshot import Watcher
+    from station.commands.live import LiveServer
     from station.hand_motion import HandMotion
     from station.recording import RecordingWriter
     from station.releasing import Ask
@@ -45,7 +46,7 @@ class CaptureSettings(TypedDict, total=False):
         progress: called with seconds done and in all.
         control: what people ask of the capture while it runs: pause, go on, stop.
         watch: called some times a second with what the capture is doing.
-        live: is shown frames while there is time for it.
+        live: serves a live view of the capture.
     """
 
     seed: int | None
@@ -55,7 +56,7 @@ class CaptureSettings(TypedDict, total=False):
     progress: Progress | None
     control: Control | None
     watch: Watcher | None
-    live: LiveView | None
+    live: LiveServer | None
 
 
 def capture(rig: str, motion: str, out: Path, **settings: Unpack[CaptureSettings]) -> CaptureCounts:
@@ -79,8 +80,12 @@ def record_motion(
     from station.capture.service import Capture
 
     check_output_folder(out, force=settings.get("force", False))
-    with _opened(rig_file, settings) as opened, _writer(rig_file, opened, motion_text, out, settings) as writer:
-        return Capture(opened, planned, writer, **_wishes(settings)).run()
+    with (
+        _opened(rig_file, settings) as opened,
+        _writer(rig_file, opened, motion_text, out, settings) as writer,
+        _live_view(opened, writer, out, settings) as live,
+    ):
+        return Capture(opened, planned, writer, live=live, **_wishes(settings)).run()
 
 
 def capture_by_hand(
@@ -106,8 +111,11 @@ def capture_by_hand(
         duration_s = duration_s or by_hand.duration_s
     with _opened(rig_file, settings, by_hand) as opened:
         take_in_hand(opened, ask)
-        with _writer(rig_file, opened, None, out, settings) as writer:
-            return HandCapture(opened, writer, duration_s=duration_s, **_wishes(settings)).run()
+        with (
+            _writer(rig_file, opened, None, out, settings) as writer,
+            _live_view(opened, writer, out, settings) as live,
+        ):
+            return HandCapture(opened, writer, duration_s=duration_s, live=live, **_wishes(settings)).run()
 
 
 def _opened(
@@ -128,7 +136,6 @@ class _Wishes(TypedDict):
     progress: Progress | None
     control: Control | None
     watch: Watcher | None
-    live: LiveView | None
 
 
 def _wishes(settings: CaptureSettings) -> _Wishes:
@@ -137,8 +144,15 @@ def _wishes(settings: CaptureSettings) -> _Wishes:
         "progress": settings.get("progress"),
         "control": settings.get("control"),
         "watch": settings.get("watch"),
-        "live": settings.get("live"),
     }
+
+
+def _live_view(
+    opened: Rig, writer: RecordingWriter, out: Path, settings: CaptureSettings
+) -> AbstractContextManager[LiveView | None]:
+    """The live view of a session, if one is wanted."""
+    server = settings.get("live")
+    return nullcontext() if server is None else server.serving(out.resolve().name, writer, opened.clock.now_ns)
 
 
 def _writer(

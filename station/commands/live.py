@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING
 
 from station.errors import StationError
 
 if TYPE_CHECKING:
-    from rerun.blueprint import Blueprint
-
     from station.capture.live_view import LiveView
-    from station.session import SessionDescription
+    from station.recording import RecordingWriter
     from station.view import Viewer
 
 # What a viewer that looks on for hours keeps, the newest.
@@ -36,36 +34,37 @@ class LiveServer:
         self.has_served = False
 
     @contextmanager
-    def serving(
-        self,
-        about: SessionDescription,
-        recording_id: str,
-        name: str,
-        start_ns: int,
-        blueprint: Blueprint,
-        say: Callable[[str], None],
-    ) -> Iterator[LiveView]:
-        """Serve a session, while the block runs.
+    def serving(self, name: str, writer: RecordingWriter, now_ns: Callable[[], int]) -> Iterator[LiveView]:
+        """Serve a session, while the block runs; a view that fails is told in its recording, and does no harm to it.
 
         Args:
-            recording_id, name: the session's, as in its file.
-            start_ns: the session's start on its clock.
-            say: told when the view fails; the session goes on without it.
+            name: of the session.
+            writer: of its recording.
+            now_ns: the session's clock.
 
         Raises:
             StationError: the port has been taken meanwhile.
         """
         from station.capture.live_view import QueuedView
         from station.recording.live import LiveStream
+        from station.view import session_blueprint
 
-        stream = LiveStream(recording_id, name, about, start_ns=start_ns, blueprint=blueprint, port=self.port)
+        def say(why: object) -> None:
+            with suppress(StationError):  # the recording is closed, or has failed itself
+                writer.log_event(now_ns(), "WARN", f"live view: {why}")
+
+        about = writer.description
+        blueprint = session_blueprint(about.joints)
+        stream = LiveStream(
+            writer.recording_id, name, about, start_ns=writer.start_ns, blueprint=blueprint, port=self.port
+        )
         self.has_served = True
         if self._viewer is not None:
             try:
                 self._viewer.show(self.address)
             except StationError as error:  # closed by the person, it may be; the session is worth more than a window
-                say(f"live view: {error}")
-        with QueuedView(stream, lambda why: say(f"live view: {why}")) as view:
+                say(error)
+        with QueuedView(stream, say) as view:
             yield view
 
 
