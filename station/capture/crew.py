@@ -19,6 +19,8 @@ from station.rig import Rig
 NS_PER_S = 1_000_000_000
 SERVO_RATE_HZ = 50.0
 TURN_NS = round(NS_PER_S / SERVO_RATE_HZ)
+# Temperatures and voltages change slowly.
+SERVO_STATES_EVERY_NS = NS_PER_S // 2
 
 
 class Crew:
@@ -42,11 +44,12 @@ class Crew:
         self.control = control or Control()
         self.tally, self.situation = Tally(), Situation()
         self.recorder = Recorder(writer, self.tally, waits=rig.virtual)
-        self.live = live
         self.journal = Journal(rig.clock, self.recorder, live)
         self.frames = FrameLine(rig, self.recorder, self.journal, self.tally, live)
         self.states = StateMachine(self._entered)
         self.leaving = False
+        self._live = live
+        self._servos_ns: int | None = None
         self._watching = Watching(rig.table, rig.clock.now_ns(), watch)
 
     def start(self) -> None:
@@ -61,17 +64,22 @@ class Crew:
         self.frames.check()
 
     def read(self) -> ArmReading:
-        """Read the arm, show it to who watches; recorded, beside the command that stands, where frames are."""
+        """Read the arm, show it to who watches; recorded, beside the command that stands, where frames are.
+
+        What the servos say of themselves is recorded throughout.
+        """
         reading = self.rig.arm.read()
         self.situation.reading = reading
-        if self.live is not None:
-            middle_ns = (reading.t_request_ns + reading.t_reply_ns) // 2
-            self.live.offer(LiveReading(middle_ns, reading.q, self.situation.goal))
+        if self._servos_ns is None or reading.t_ns - self._servos_ns >= SERVO_STATES_EVERY_NS:
+            self._servos_ns = reading.t_ns
+            self.recorder.servos(reading)
         if self.frames.is_open:
             if self.situation.goal is not None:
                 self.recorder.command(reading.t_request_ns, self.situation.goal)
             self.recorder.reading(reading)
             self.tally.add("readings")
+        if self._live is not None:
+            self._live.offer(LiveReading(reading.t_ns, reading.q, self.situation.goal))
         self.tell()
         return reading
 
@@ -83,9 +91,22 @@ class Crew:
     def counts(self) -> CaptureCounts:
         """What was counted so far."""
         dropped, stale = self.frames.lost_since_open
-        errors = sum(self.rig.arm.bus_errors.values()) if self.has_arm else 0
-        shed = 0 if self.live is None else sum(self.live.shed.values())
-        return self.tally.counts(dropped_by_camera=dropped, stale_frames=stale, bus_errors=errors, live_view_shed=shed)
+        return self.tally.counts(
+            dropped_by_camera=dropped,
+            stale_frames=stale,
+            bus_errors=sum(self.rig.arm.bus_errors.values()) if self.has_arm else 0,
+            live_view_shed=0 if self._live is None else sum(self._live.shed.values()),
+        )
+
+    def tell_shed(self) -> None:
+        """Tell how much the live view left out, and why."""
+        if self._live is not None and (shed := self._live.shed):
+            reasons = ", ".join(f"{count} ({reason})" for reason, count in shed.items())
+            self.journal.info(f"not shown in the live view: {reasons}")
+
+    def checkpoint(self, leg: int, legs: int) -> None:
+        """A leg of the plan begins: once the frames before it are recorded, all before it is safe from a kill."""
+        self.frames.detection.afterwards(lambda: self.recorder.checkpoint(leg, legs, self.counts()))
 
     def _entered(self, state: State) -> None:
         self.journal.info(f"state: {state}")

@@ -5,12 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from types import MappingProxyType
 
+import numpy as np
+
 from drivers.camera import Frame
 from station.capture.counts import Tally
 from station.capture.live_view import LiveFrame, LiveView
 from station.capture.worker import Worker
 from station.perception.marker_tracker import MarkerTracker
-from station.perception.observations import FrameMarkers
+from station.perception.observations import MARKER_SHAPES, FrameMarkers
 from station.rig import Rig
 from station.tracking import observe
 
@@ -18,6 +20,8 @@ from station.tracking import observe
 FRAMES_WAITING = 8
 # The live view gets a frame only while fewer of the places are taken.
 LIVE_UP_TO = 0.5
+_NONE = {name: np.zeros((0, *shape)) for name, shape in MARKER_SHAPES.items() if name != "marker_id"}
+NO_MARKERS = FrameMarkers(np.zeros(0, dtype=np.int64), **_NONE)
 
 
 class Detection:
@@ -61,9 +65,9 @@ class Detection:
             self._tally.add("dropped_by_detection")
 
     def show(self, frame: Frame) -> None:
-        """Only show a frame, if there is time."""
-        if self._live is not None and (self._busy or not self._worker.offer("frame", lambda: self._show(frame, None))):
-            self._tally.add("live_view_shed")
+        """Only show a frame, if there is time; nobody looks for its markers."""
+        if self._live is not None:
+            self._show(frame, NO_MARKERS)
 
     def afterwards(self, work: Callable[[], None]) -> None:
         """Do something in the thread once all frames so far are done."""
@@ -76,14 +80,10 @@ class Detection:
         self._seen_ns.update({self._part_of[n]: frame.t_ns for n in markers.marker_id.tolist()})
         self._show(frame, markers)
 
-    def _show(self, frame: Frame, markers: FrameMarkers | None) -> None:
+    def _show(self, frame: Frame, markers: FrameMarkers) -> None:
         if self._live is None:
             return
-        if self._busy:
+        if self._worker.fullness("frame") > LIVE_UP_TO:
             self._tally.add("live_view_shed")
         else:
             self._live.offer(LiveFrame(frame.index, frame.t_ns, frame.image, markers))
-
-    @property
-    def _busy(self) -> bool:
-        return self._worker.fullness("frame") > LIVE_UP_TO

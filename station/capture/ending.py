@@ -34,7 +34,7 @@ def end(
     def finish() -> None:
         with crew.clock.seat():
             _try(failures, leave)
-            _tell_shed(crew)
+            crew.tell_shed()
         for step in (crew.frames.end, crew.frames.check, crew.recorder.end, crew.recorder.check):
             _try(failures, step)
         state = "complete" if complete and not failures else "interrupted"
@@ -44,13 +44,6 @@ def end(
     if failures:
         raise failures[0]
     return crew.counts()
-
-
-def _tell_shed(crew: Crew) -> None:
-    """Tell how much the live view left out, and why."""
-    if crew.live is not None and (shed := crew.live.shed):
-        reasons = ", ".join(f"{count} ({reason})" for reason, count in shed.items())
-        crew.journal.info(f"not shown in the live view: {reasons}")
 
 
 def _try(failures: list[BaseException], step: Callable[[], object]) -> None:

@@ -10,13 +10,13 @@ from station.capture.recorder import Recorder
 class Journal:
     """Events of one capture, from any of its threads."""
 
-    def __init__(self, clock: Clock, recorder: Recorder, live: LiveView | None = None) -> None:
+    def __init__(self, clock: Clock, recorder: Recorder, live: LiveView | None) -> None:
         self._clock, self._recorder, self._live = clock, recorder, live
         self.said = ""
 
     def info(self, text: str) -> None:
         """Something that is as it should be."""
-        self._event("INFO", text)
+        self._record("INFO", text)
 
     def warn(self, text: str) -> None:
         """Something that people should know of."""
@@ -28,10 +28,10 @@ class Journal:
 
     def _say(self, level: str, text: str) -> None:
         self.said = text
-        self._event(level, text)
+        self._record(level, text)
 
-    def _event(self, level: str, text: str) -> None:
-        now_ns = self._clock.now_ns()
-        self._recorder.event(now_ns, level, text)
+    def _record(self, level: str, text: str) -> None:
+        t_ns = self._clock.now_ns()
+        self._recorder.event(t_ns, level, text)
         if self._live is not None:
-            self._live.offer(LiveEvent(now_ns, level, text))
+            self._live.offer(LiveEvent(t_ns, level, text))

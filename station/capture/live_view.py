@@ -30,12 +30,12 @@ RATE, BEHIND, FAILED, CLOSED = "over the view's rate", "view behind", "view fail
 
 @dataclass(frozen=True, eq=False, slots=True)
 class LiveFrame:
-    """A frame, and its markers if they were looked for; the image (H, W, 3) BGR or (H, W) grey is only read."""
+    """A frame and its markers; the image (H, W, 3) BGR or (H, W) grey is only read."""
 
     index: int
     t_ns: int
     image: NDArray[np.uint8]
-    markers: FrameMarkers | None
+    markers: FrameMarkers
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -75,8 +75,8 @@ class LiveView(Protocol):
 class Screen(Protocol):
     """Where a live view is shown; may be slow, may raise anything."""
 
-    def show_frame(self, index: int, t_ns: int, image: NDArray[np.uint8], markers: FrameMarkers | None) -> None:
-        """Show a frame, and its markers if they were looked for."""
+    def show_frame(self, index: int, t_ns: int, image: NDArray[np.uint8], markers: FrameMarkers) -> None:
+        """Show a frame and its markers."""
         ...
 
     def show_readings(self, t_ns: NDArray[np.int64], q: FloatArray, goal: FloatArray) -> None:

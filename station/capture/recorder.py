@@ -12,7 +12,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from drivers.arm import ArmReading
 from drivers.camera import Frame, Image
-from station.capture.counts import Tally
+from drivers.safety import ServoState
+from station.capture.counts import CaptureCounts, Tally
 from station.capture.worker import Worker
 from station.logs import FloatArray
 from station.perception.observations import FrameMarkers
@@ -34,9 +35,13 @@ class SessionWriter(Protocol):
         self, t_request_ns: int, t_reply_ns: int, q: ArrayLike, t_joint_ns: ArrayLike | None = None
     ) -> None: ...
 
+    def log_servos(self, t_ns: int, states: Mapping[int, ServoState]) -> None: ...
+
     def log_event(self, t_ns: int, level: str, text: str) -> None: ...
 
     def log_frame(self, index: int, t_ns: int, image: bytes | Image | None, markers: FrameMarkers) -> None: ...
+
+    def checkpoint(self, leg: int, legs: int, counts: Mapping[str, int] | None = None) -> None: ...
 
     def close(self, state: str, counts: Mapping[str, int] | None = None) -> None: ...
 
@@ -67,6 +72,14 @@ class Recorder:
         self._row(
             lambda: self._writer.log_reading(reading.t_request_ns, reading.t_reply_ns, reading.q, reading.t_joint_ns)
         )
+
+    def servos(self, reading: ArmReading) -> None:
+        """What the servos said of themselves."""
+        self._row(lambda: self._writer.log_servos(reading.t_ns, reading.servos))
+
+    def checkpoint(self, leg: int, legs: int, counts: CaptureCounts) -> None:
+        """A leg of the plan begins, and all that belongs before it has been given."""
+        self._worker.give("row", lambda: self._writer.checkpoint(leg, legs, counts.as_dict()))
 
     def frame(self, frame: Frame, markers: FrameMarkers) -> None:
         """A frame and its markers; drops what there is no time for, and counts it."""

@@ -116,6 +116,7 @@ class ServoLoop:
         crew, segment = self._crew, self._plan.segments[leg]
         if leg != self._leg or not self._speeds_set:
             self._leg, self._speeds_set = leg, True
+            crew.checkpoint(leg, len(self._plan.segments))
             crew.rig.arm.set_speeds(self._speeds(leg))
             crew.journal.info(f"step {segment.step}")
             crew.situation.step = f"step {segment.step}, leg {leg + 1} of {len(self._plan.segments)}"

@@ -138,17 +138,16 @@ class LiveStream:
             self._stream.log(COMMANDED, scene.commanded_series(about.joints, about.units), static=True)
             self._stream.log(MEASURED, scene.measured_series(about.joints, about.units), static=True)
 
-    def show_frame(self, index: int, t_ns: int, image: NDArray[np.uint8], markers: FrameMarkers | None) -> None:
-        """Show a frame (H, W, 3) BGR or (H, W) grey, and its markers if they were looked for."""
+    def show_frame(self, index: int, t_ns: int, image: NDArray[np.uint8], markers: FrameMarkers) -> None:
+        """Show a frame (H, W, 3) BGR or (H, W) grey, and its markers."""
         if self._scale > 1:
             size = (image.shape[1] // self._scale, image.shape[0] // self._scale)
             image = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
         self._at(t_ns)
         self._stream.set_time(FRAME, sequence=index)
         self._stream.log(LIVE_IMAGE, rr.EncodedImage(contents=encode_jpeg(image), media_type="image/jpeg"))
-        if markers is not None:
-            self._stream.log(OVERLAY, *scene.outlines(self._markers, markers))
-            self._show_poses(markers)
+        self._stream.log(OVERLAY, *scene.outlines(self._markers, markers))
+        self._show_poses(markers)
 
     def _show_poses(self, markers: FrameMarkers) -> None:
         poses = zip(markers.marker_id.tolist(), markers.T_cam_marker[:, 0], strict=True)
