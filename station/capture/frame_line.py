@@ -16,7 +16,8 @@ class FrameLine:
     """Frames on their way from the camera to the recording.
 
     They are recorded only between `open` and `close`, by their own stamps: what came before the motion, or while it
-    was held, shows an arm that does something else than was planned.
+    was held, shows an arm that does something else than was planned. A frame whose stamp isn't after that of the one
+    before counts as dropped: of two that a network camera gave at once, nobody knows when the second was taken.
     """
 
     def __init__(self, rig: Rig, recorder: Recorder, journal: Journal, tally: Tally, live: LiveView | None) -> None:
@@ -25,6 +26,7 @@ class FrameLine:
         self.camera = CameraThread(rig.camera, rig.clock, self._take, journal, rig.table.camera.reconnect_s)
         self._since_ns: int | None = None
         self._lost_before = (0, 0)
+        self._last_ns = -1
 
     def start(self) -> None:
         """Begin to read the camera; from a thread that has its turn."""
@@ -73,6 +75,10 @@ class FrameLine:
 
     def _take(self, frame: Frame) -> None:
         since_ns = self._since_ns
+        if frame.t_ns <= self._last_ns:
+            self._tally.add("dropped_by_camera" if since_ns is not None else "frames_outside")
+            return
+        self._last_ns = frame.t_ns
         if since_ns is not None and frame.t_ns >= since_ns:
             self.detection.offer(frame)
         else:

@@ -79,8 +79,8 @@ def fit(
 def compare(session: SessionArgument, commands_csv: Commands = None, as_json: Json = False) -> None:
     """Compare detected joint angles with commands and read-back.
 
-    Errors are after one sign and one offset a joint; lag and gain are estimated and shown beside. Writes
-    comparison.csv and comparison.json into the session's report/.
+    Errors are after one sign and one offset a joint, and the camera's lag where it is sure; each joint's own lag and
+    gain are shown beside. Writes comparison.csv and comparison.json into the session's report/.
     """
     from station.commands import reporting
 

@@ -115,14 +115,16 @@ def progress() -> Iterator[Bar]:
 def show_comparison(comparison: Comparison, as_json: bool) -> None:
     """Print a comparison: as a table, with what it leaves open, or as JSON."""
     from station.comparison_files import comparison_json
-    from station.report import summary_rows
+    from station.report import session_lag_text, summary_rows
 
     if as_json:
         print(comparison_json(comparison))
         return
     told = not comparison.joints or any(joint.against_commanded is not None for joint in comparison.joints)
     against = "read-back and command" if told else "read-back (there are no commands)"
-    table(f"Detected against {against}, after sign and offset only", summary_rows(comparison))
+    table(f"Detected against {against}, after sign, offset and the session's lag", summary_rows(comparison))
+    if comparison.joints:
+        print(session_lag_text(comparison))
     for name in comparison.unmatched_commanded:
         warn(f"{name}: no detected joint follows it")
     for name in comparison.unmatched_fitted:
