@@ -47,7 +47,7 @@ from station.recording.layout import (
     SERVOS,
 )
 from station.recording.opening import errors_of, has_rows, open_piece, read_piece
-from station.recording.rrd_files import Rows
+from station.recording.rows import Rows
 from station.session import RECORDING_FILE, SessionDescription, recording_pieces
 
 Batches = Mapping[str, Sequence[pa.RecordBatch]]

@@ -29,7 +29,7 @@ END_TIMEOUT_S = 2.0
 # rerun's batcher writes an entity when it has this much, and all of them at each tick. Were images alone to reach the
 # limit before each tick, nothing else would ever be written; hence far more than a tick's worth of images.
 BATCH_BYTES = 64 << 20
-BATCH_TICK_S = 0.5
+BATCH_TICK_S = 3600.0
 
 
 @contextmanager
