@@ -21,8 +21,9 @@ TRAILER_MAGIC = b"RRF2FOOT"
 TRAILER_BYTES = 32
 MESSAGE = struct.Struct("<QQ")
 END_KIND = 0
+STORE_KIND = 1
 # Kinds of message: end, store info, chunk, command to activate a blueprint.
-KINDS = frozenset({END_KIND, 1, 2, 3})
+KINDS = frozenset({END_KIND, STORE_KIND, 2, 3})
 
 
 @dataclass(frozen=True)
@@ -35,6 +36,8 @@ class Framing:
         messages: how many there are, the end included.
         body: bytes up to the end of the last one that isn't the end with its index.
         complete: whether the file was closed: it has its end, and with it the index.
+        last: where the last message that isn't the end begins.
+        stores: where the messages begin and end that tell which recording what follows is of.
     """
 
     size: int
@@ -42,6 +45,8 @@ class Framing:
     messages: int
     body: int
     complete: bool
+    last: int
+    stores: tuple[tuple[int, int], ...]
 
     @property
     def torn(self) -> bool:
@@ -51,6 +56,10 @@ class Framing:
     def without_index(self) -> Framing:
         """The same file as if it had never been closed."""
         return replace(self, whole=self.body, complete=False)
+
+    def without_last(self) -> Framing:
+        """The same file as if its last message were torn."""
+        return replace(self, whole=self.last, body=self.last, messages=self.messages - 1)
 
 
 def scan_framing(path: Path) -> Framing:
@@ -74,18 +83,21 @@ def _scan(file: BinaryIO, path: Path) -> Framing:
         raise InvalidFile(f"{path} is empty; nothing was recorded in it")
     if len(header) < HEADER_BYTES or not header.startswith(MAGIC):
         raise InvalidFile(f"{path} is no recording: it starts with {header[:4]!r}, an .rrd with {MAGIC!r}")
-    whole, body, messages = HEADER_BYTES, HEADER_BYTES, 0
+    whole, body, messages, last = HEADER_BYTES, HEADER_BYTES, 0, HEADER_BYTES
+    stores: list[tuple[int, int]] = []
     while len(head := file.read(MESSAGE.size)) == MESSAGE.size:
         kind, length = MESSAGE.unpack(head)
         end = whole + MESSAGE.size + length
         if kind not in KINDS or end > size or (kind == END_KIND and not _ends_with_trailer(file, end, size)):
             break
-        whole, messages = end, messages + 1
+        start, whole, messages = whole, end, messages + 1
         if kind == END_KIND:
-            return Framing(size, whole, messages, body, complete=True)
-        body = end
+            return Framing(size, whole, messages, body, True, last, tuple(stores))
+        body, last = end, start
+        if kind == STORE_KIND:
+            stores.append((start, end))
         file.seek(end)
-    return Framing(size, whole, messages, body, complete=False)
+    return Framing(size, whole, messages, body, False, last, tuple(stores))
 
 
 def _ends_with_trailer(file: BinaryIO, end: int, size: int) -> bool:
@@ -93,6 +105,14 @@ def _ends_with_trailer(file: BinaryIO, end: int, size: int) -> bool:
     file.seek(end)
     trailer = file.read(TRAILER_BYTES + 1)
     return end < size and len(trailer) == TRAILER_BYTES and TRAILER_MAGIC in trailer
+
+
+def copy_last(path: Path, framing: Framing, target: Path) -> None:
+    """Copy the file's last message to `target`, as a file of its own."""
+    with path.open("rb") as file, target.open("wb") as copy:
+        for start, end in ((0, HEADER_BYTES), *framing.stores, (framing.last, framing.body)):
+            file.seek(start)
+            copy.write(file.read(end - start))
 
 
 def copy_whole(path: Path, whole: int, target: Path) -> None:
