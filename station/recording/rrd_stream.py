@@ -151,11 +151,13 @@ class RrdStream:
                 raise
 
     def end(self) -> None:
-        """Finish the file.
+        """Finish the file; once.
 
         For a file that failed rerun may wait here for ever, and once more when the program ends: then a thread waits in
         our place, which keeps the stream, and rerun is not asked to finish anything at the end.
         """
+        if self._ending.is_set():
+            return
         self._ending.set()
         if self._timer.ident is not None:
             self._timer.join()

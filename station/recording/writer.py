@@ -25,6 +25,7 @@ from station.errors import OutputExists, StationError
 from station.perception.observations import FrameMarkers
 from station.recording.earlier import Earlier, read_earlier
 from station.recording.lock import SessionLock
+from station.recording.reader import Recording
 from station.recording.repair import join_pieces
 from station.recording.rrd_stream import FLUSH_TIMEOUT_S, RrdStream, check_rerun, written
 from station.recording.session_rows import SessionRows
@@ -218,6 +219,10 @@ class RecordingWriter:
         try:
             self._stream.flush()
             self._status = replace(self._status, state=state)
+        except StationError:
+            self._stream.end()
+            self._status = replace(self._status, counts=self._written_counts())
+            raise
         finally:
             self._stream.end()
             self._leave()
@@ -272,6 +277,14 @@ class RecordingWriter:
         except BaseException:
             self._stream.end()
             raise
+
+    def _written_counts(self) -> Mapping[str, int]:
+        """The counts of a recording that failed: what is in its files, and how many frames are not."""
+        counts = self._status.counts
+        with suppress(StationError):
+            written = Recording.read(self._folder).counts
+            return {**counts, **written, "unwritten_frames": counts["frames"] - written["frames"]}
+        return counts
 
     def _leave(self) -> None:
         """Have session.json say what became of the session, join its pieces, and let others into the folder."""
