@@ -190,8 +190,8 @@ def fit(
 def compare(session: SessionArgument, commands_csv: Commands = None, as_json: Json = False) -> None:
     """Compare detected joint angles with commands and read-back.
 
-    Errors are after one sign and one offset a joint; lag and gain are estimated and shown beside. Writes
-    comparison.csv and comparison.json into the session's report/.
+    Errors are after one sign and one offset a joint, and the camera's lag where it is sure; each joint's own lag and
+    gain are shown beside. Writes comparison.csv and comparison.json into the session's report/.
     """
     from station.commands import reporting
 
@@ -227,14 +227,16 @@ def view(session: SessionArgument) -> None:
 
 def _show_comparison(comparison: Comparison, as_json: bool) -> None:
     from station.comparison_files import comparison_json
-    from station.report import summary_rows
+    from station.report import session_lag_text, summary_rows
 
     if as_json:
         print(comparison_json(comparison))
         return
     told = not comparison.joints or any(joint.against_commanded is not None for joint in comparison.joints)
     against = "read-back and command" if told else "read-back (there are no commands)"
-    table(f"Detected against {against}, after sign and offset only", summary_rows(comparison))
+    table(f"Detected against {against}, after sign, offset and the session's lag", summary_rows(comparison))
+    if comparison.joints:
+        print(session_lag_text(comparison))
     for name in comparison.unmatched_commanded:
         warn(f"{name}: no detected joint follows it")
     for name in comparison.unmatched_fitted:
