@@ -111,6 +111,7 @@ def lab(
     more: str = "",
     mode: str = "step",
     weight: str = "",
+    reply_timeout_s: float = 10.0,
 ) -> Iterator[Lab]:
     source, (joint, hot) = load_rig(name), RIGS[name]
     ids = next([servo.id for servo in each.servo] for each in source.table.joint if each.name == joint)
@@ -125,7 +126,11 @@ def lab(
     with (
         EmulatedArm(table, table.simulation, clock) as emulated,
         DynamixelBus(
-            emulated.path, baud=table.bus.baud, protocol=table.bus.protocol, clock=clock, reply_timeout_s=10.0
+            emulated.path,
+            baud=table.bus.baud,
+            protocol=table.bus.protocol,
+            clock=clock,
+            reply_timeout_s=reply_timeout_s,
         ) as bus,
     ):
         arm = Arm(bus, joint_configs(table), clock, limits=safety_limits(table))
