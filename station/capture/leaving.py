@@ -15,8 +15,8 @@ from station.motion import JointLimits
 def leave(crew: Crew, joints: Sequence[JointLimits], park: FloatArray, *, failed: bool, stopped: bool) -> None:
     """Leave the arm as `[safety] at_exit` says: each step is tried, the first failure is raised when all have been.
 
-    A pause holds the arm on its way, too; nothing else that people ask is heeded any more. An arm whose motion ended early first stays where it is, so that it doesn't run on
-    to its last goal.
+    A pause holds the arm on its way, too; nothing else that people ask is heeded any more. An arm whose motion ended
+    early first stays where it is, so that it doesn't run on to its last goal.
 
     Args:
         failed: after a failure.
