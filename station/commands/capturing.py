@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager, suppress
+from contextlib import AbstractContextManager, nullcontext
 from datetime import UTC, datetime
 from importlib import metadata
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol, TypedDict, Unpack
+from typing import TYPE_CHECKING, TypedDict, Unpack
 
 from station.commands.planning import planned_motion
-from station.errors import InvalidData, StationError
+from station.errors import InvalidData
 from station.formats.camera import format_camera, parse_camera
 from station.formats.markers import format_markers
 from station.motion import Plan
@@ -29,6 +28,7 @@ if TYPE_CHECKING:
     from station.capture.live_view import LiveView
     from station.capture.servo_loop import Progress
     from station.capture.snapshot import Watcher
+    from station.commands.live import LiveServer
     from station.hand_motion import HandMotion
     from station.recording import RecordingWriter
     from station.releasing import Ask
@@ -45,22 +45,6 @@ def versions() -> dict[str, str]:
     return {name: metadata.version(name) for name in VERSIONED}
 
 
-class LiveServing(Protocol):
-    """Serves the live view of sessions."""
-
-    def serving(
-        self,
-        about: SessionDescription,
-        recording_id: str,
-        name: str,
-        start_ns: int,
-        blueprint: Any,
-        say: Callable[[str], None],
-    ) -> AbstractContextManager[LiveView]:
-        """Serve a session while the block runs; `say` is told why the view failed, if it does."""
-        ...
-
-
 class CaptureSettings(TypedDict, total=False):
     """How a capture is made.
 
@@ -72,7 +56,7 @@ class CaptureSettings(TypedDict, total=False):
         progress: called with seconds done and in all.
         control: what people ask of the capture while it runs: pause, go on, stop.
         watch: called some times a second with what the capture is doing.
-        live: serves the session while it is captured.
+        live: serves a live view of the capture.
     """
 
     seed: int | None
@@ -82,7 +66,7 @@ class CaptureSettings(TypedDict, total=False):
     progress: Progress | None
     control: Control | None
     watch: Watcher | None
-    live: LiveServing | None
+    live: LiveServer | None
 
 
 def capture(rig: str, motion: str, out: Path, **settings: Unpack[CaptureSettings]) -> CaptureCounts:
@@ -106,10 +90,12 @@ def record_motion(
     from station.capture.service import Capture
 
     check_output_folder(out, force=settings.get("force", False))
-    with _opened(rig_file, settings) as opened:
-        about = _described(rig_file, opened, motion_text)
-        with _writer(about, opened, out, settings) as writer, _shown(writer, about, out, opened, settings) as live:
-            return Capture(opened, planned, writer, live=live, **_wishes(settings)).run()
+    with (
+        _opened(rig_file, settings) as opened,
+        _writer(rig_file, opened, motion_text, out, settings) as writer,
+        _live_view(opened, writer, out, settings) as live,
+    ):
+        return Capture(opened, planned, writer, live=live, **_wishes(settings)).run()
 
 
 def resume(session: Path, **settings: Unpack[CaptureSettings]) -> CaptureCounts:
@@ -144,7 +130,7 @@ def resume(session: Path, **settings: Unpack[CaptureSettings]) -> CaptureCounts:
             since_last_s=VIRTUAL_GAP_S if opened.virtual else None,
             blueprint=session_blueprint(about.joints),
         ) as writer,
-        _shown(writer, about, session, opened, settings) as live,
+        _live_view(opened, writer, session, settings) as live,
     ):
         return Capture(opened, planned, writer, live=live, first_leg=first_leg, **_wishes(settings)).run()
 
@@ -202,8 +188,10 @@ def capture_by_hand(
         duration_s = duration_s or by_hand.duration_s
     with _opened(rig_file, settings, by_hand) as opened:
         take_in_hand(opened, ask)
-        about = _described(rig_file, opened, None)
-        with _writer(about, opened, out, settings) as writer, _shown(writer, about, out, opened, settings) as live:
+        with (
+            _writer(rig_file, opened, None, out, settings) as writer,
+            _live_view(opened, writer, out, settings) as live,
+        ):
             return HandCapture(opened, writer, duration_s=duration_s, live=live, **_wishes(settings)).run()
 
 
@@ -236,33 +224,27 @@ def _wishes(settings: CaptureSettings) -> _Wishes:
     }
 
 
-@contextmanager
-def _shown(
-    writer: RecordingWriter, about: SessionDescription, out: Path, opened: Rig, settings: CaptureSettings
-) -> Iterator[LiveView | None]:
-    """The session's live view, if one is wanted."""
+def _live_view(
+    opened: Rig, writer: RecordingWriter, out: Path, settings: CaptureSettings
+) -> AbstractContextManager[LiveView | None]:
+    """The live view of a session, if one is wanted."""
+    server = settings.get("live")
+    return nullcontext() if server is None else server.serving(out.resolve().name, writer, opened.clock.now_ns)
+
+
+def _writer(
+    rig_file: RigFile, opened: Rig, motion: str | None, out: Path, settings: CaptureSettings
+) -> RecordingWriter:
+    """The recording of a session that starts now."""
+    from station.recording import RecordingWriter
     from station.view import session_blueprint
 
-    def say(why: str) -> None:
-        with suppress(StationError):  # it fails as the session ends
-            writer.log_event(opened.clock.now_ns(), "WARN", why)
-
-    server = settings.get("live")
-    if server is None:
-        yield None
-        return
-    blueprint = session_blueprint(about.joints)
-    with server.serving(about, writer.recording_id, out.resolve().name, writer.start_ns, blueprint, say) as view:
-        yield view
-
-
-def _described(rig_file: RigFile, opened: Rig, motion: str | None) -> SessionDescription:
-    """What a session that starts now is of."""
     limits = opened.table.limits()
-    return SessionDescription(
+    joints = tuple(joint.name for joint in limits)
+    description = SessionDescription(
         camera=format_camera(opened.camera_model),
         markers=format_markers(opened.markers),
-        joints=tuple(joint.name for joint in limits),
+        joints=joints,
         units=tuple(joint.unit for joint in limits),
         rig=rig_file.text,
         motion=motion,
@@ -270,17 +252,10 @@ def _described(rig_file: RigFile, opened: Rig, motion: str | None) -> SessionDes
         seed=opened.seed,
         versions=versions(),
     )
-
-
-def _writer(about: SessionDescription, opened: Rig, out: Path, settings: CaptureSettings) -> RecordingWriter:
-    """The recording of a session that starts now."""
-    from station.recording import RecordingWriter
-    from station.view import session_blueprint
-
     return RecordingWriter(
         out,
-        about,
+        description,
         start_ns=opened.clock.now_ns(),
-        blueprint=session_blueprint(about.joints),
+        blueprint=session_blueprint(joints),
         force=settings.get("force", False),
     )
