@@ -97,6 +97,7 @@ class HandCapture:
         """There is nothing to be done to an arm that is limp."""
         if isinstance(failure, Exception):
             self._crew.states.to(State.FAULT)
+        self._crew.situation.step = "arm: limp, as it was moved" if self._crew.has_arm else ""
         self._crew.states.to(State.IDLE)
 
     def _done_ns(self) -> int:

@@ -31,18 +31,19 @@ def leave(crew: Crew, joints: Sequence[JointLimits], park: FloatArray, *, failed
     steps.append(arm.leave_holding if at_exit == "hold" else arm.torque_off)
     if failed:
         crew.states.to(State.FAULT)
+    crew.situation.step = f"leaving the arm: {at_exit}"
     crew.states.to(State.PARKING)
     failures = [failure for step in steps if (failure := _tried(crew, step)) is not None]
     crew.situation.goal = None
+    crew.situation.step = f"arm NOT left as declared ({at_exit})" if failures else f"arm left: {at_exit}"
     if failures:
         crew.states.to(State.FAULT)
         raise failures[0]
     crew.states.to(State.IDLE)
-    crew.journal.info(f"arm left: {at_exit}")
+    crew.journal.info(crew.situation.step)
 
 
 def _park(crew: Crew, joints: Sequence[JointLimits], park: FloatArray) -> None:
-    crew.situation.step = "parking"
     approach(crew, joints, park, heed=lambda: False)
 
 

@@ -99,5 +99,6 @@ class Capture:
             return
         if isinstance(failure, Exception):
             crew.states.to(State.FAULT)
+        crew.situation.step = "arm left: as it was found"
         crew.states.to(State.IDLE)
-        crew.journal.info("arm left: as it was found")
+        crew.journal.info(crew.situation.step)
