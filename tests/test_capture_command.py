@@ -15,6 +15,7 @@ import pytest
 from station.recording import Recording
 from station.session import read_status
 from tests.listening import listening
+from tests.sessions import write_motion
 from tests.terminal import CTRL_C, PATIENCE_S, Terminal
 
 STATION = ["-c", "import sys; sys.argv[0] = 'station'; from station.cli import main; main()"]
@@ -43,6 +44,21 @@ def test_a_capture_is_paused_goes_on_and_is_stopped_from_the_terminal(tmp_path: 
     assert read_status(out).state == "interrupted"
     assert read_status(out).counts["pauses"] == 2
     assert "arm left: park-then-release" in events(out)
+
+
+def test_a_capture_that_was_stopped_is_gone_on_with(station, tmp_path: Path):
+    out = tmp_path / "session"
+    with Terminal([*STATION, "capture", "demo", write_motion(tmp_path), "--out", str(out)]) as terminal:
+        terminal.wait_for("step 2")
+        os.kill(terminal.program.pid, signal.SIGTERM)
+        assert terminal.end() == 143
+        assert f"station capture --resume {out}" in terminal.screen().replace("\n", "")
+    code, said, err = station("capture", "--resume", out)
+    assert code == 0 and "frames" in said, err
+    assert f"{out} is complete" in err and f"station fit {out}" in err
+    assert read_status(out).state == "complete"
+    code, _, err = station("capture", "--resume", out)
+    assert code == 1 and "is complete" in err
 
 
 def test_a_live_view_is_served_on_this_machine_only(tmp_path: Path):
@@ -95,6 +111,13 @@ def test_without_a_screen_no_viewer_is_an_error_before_anything_is_made(
     code, _, err = station("demo", "--view", "--out", out)
     assert code == 1 and "no screen" in err and "--headless" in err
     assert not out.exists()
+
+
+def test_what_is_gone_on_with_is_not_said_twice(station, tmp_path: Path):
+    for arguments in (("demo",), ("--out", tmp_path), ("--seed", "0"), ("--simulate",), ("--hand",), ("--force",)):
+        assert station("capture", "--resume", tmp_path, *arguments)[0] == 2, arguments
+    assert station("capture", "demo", "demo")[0] == 2
+    assert station("capture", "--out", tmp_path)[0] == 2
 
 
 @pytest.mark.parametrize(
