@@ -81,6 +81,24 @@ class Viewer:
         """The viewer's process."""
         return self._process.pid
 
+    def show(self, address: str) -> None:
+        """Show what is served at an address, such as a live view.
+
+        Raises:
+            StationError: the viewer isn't there any more.
+        """
+        from rerun.experimental import ViewerClient
+
+        try:
+            ViewerClient.connect(f"rerun+http://{HOST}:{self.port}/proxy").open([address])
+        except (ConnectionError, RuntimeError, TimeoutError) as error:
+            raise StationError(self.ended() or str(error).splitlines()[0]) from error
+
+    def leave(self) -> None:
+        """Let the viewer run on, also after the end of this program."""
+        self._process.returncode = self._process.poll() or 0  # nobody waits for it any more
+        self._home.cleanup()
+
     def wait(self) -> None:
         """Return when the person has closed the viewer."""
         self._process.wait()

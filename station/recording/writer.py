@@ -138,6 +138,11 @@ class RecordingWriter:
         return self._status.recording_id
 
     @property
+    def description(self) -> SessionDescription:
+        """What the session is of."""
+        return self._about
+
+    @property
     def start_ns(self) -> int:
         """The session's start on the clock of the stamps that are logged now."""
         return self._start_ns
