@@ -41,15 +41,15 @@ class SessionLag:
 UNKNOWN = SessionLag(None, None, STILL)
 
 
-def readback_slopes(detected: JointLog, pairs: Sequence[Pair]) -> list[Slope]:
-    """Lag and gain of each pair behind its read-back, where it has one."""
-    return [
-        estimate_slope(
+def readback_slopes(detected: JointLog, pairs: Sequence[Pair]) -> dict[str, Slope]:
+    """Lag and gain of each pair behind its read-back, where it has one, by the reference's name."""
+    return {
+        pair.reference.name: estimate_slope(
             detected.t_s, pair.sign * detected.state(pair.fitted), pair.reference.measured, span_s=MEASURED_LAG_SPAN_S
         )
         for pair in pairs
         if pair.reference.has_readback
-    ]
+    }
 
 
 def estimate_session_lag(slopes: Sequence[Slope]) -> SessionLag:
