@@ -34,6 +34,7 @@ def end(
     def finish() -> None:
         with crew.clock.seat():
             _try(failures, leave)
+            crew.tell_shed()
         for step in (crew.frames.end, crew.frames.check, crew.recorder.end, crew.recorder.check):
             _try(failures, step)
         state = "complete" if complete and not failures else "interrupted"

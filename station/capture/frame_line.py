@@ -5,8 +5,9 @@ from __future__ import annotations
 from drivers.camera import Frame
 from station.capture.camera_thread import CameraThread
 from station.capture.counts import Tally
-from station.capture.detection import Detection, LiveView
+from station.capture.detection import Detection
 from station.capture.journal import Journal
+from station.capture.live_view import LiveView
 from station.capture.recorder import Recorder
 from station.rig import Rig
 
