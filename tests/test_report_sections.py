@@ -9,11 +9,22 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from calibration.lag import Slope
 from station.compare import Comparison
 from station.fit.result import Fit
 from station.kinematics.tree import Joint, KinematicTree
 from station.logs import JointLog
-from station.report import Material, Redoing, Timing, Visibility, figure7, thinning, visibility_figure, write_report
+from station.report import (
+    Material,
+    Redoing,
+    Timing,
+    Visibility,
+    figure7,
+    session_lag_text,
+    thinning,
+    visibility_figure,
+    write_report,
+)
 from station.report.binned import binned
 from station.report.blocks import Drawing, Facts, Folded, Section, Source, Table, Text
 from station.report.error_figure import ERROR, PREDICTED, ROUNDED, error_figure
@@ -31,6 +42,7 @@ from station.report.servo_figure import servo_figure
 from station.report.space_figure import space_figure
 from station.report.timing_figure import timing_figure
 from station.report.view_direction import view_axes
+from station.session_lag import estimate_session_lag
 from tests.made_reports import COUNT_RAD, LAG_S, STD_RAD, Happened, arm_material, events, timing
 from tests.test_report import arm, states_of, texts_that_overlap, wide_tree
 
@@ -97,11 +109,20 @@ def test_figure7_says_the_lag_and_each_panels_error_without_it_and_nothing_overl
 
 def test_a_lag_that_is_not_applied_is_told_with_the_reason(material: Material) -> None:
     assert material.comparison is not None
-    lag = replace(material.comparison.lag, std_s=0.02, why_not="its standard deviation is 20 ms, over 5 ms")
+    lag = replace(material.comparison.lag, std_s=0.02, why_not="its std is over 5 ms")
     section = joints_section(replace(material, comparison=replace(material.comparison, lag=lag)))
     assert section is not None
     said = " ".join(block.text for block in section.blocks if isinstance(block, Text))
-    assert "not applied: its standard deviation is 20 ms" in said
+    assert "not applied: its std is over 5 ms" in said
+
+
+def test_what_is_said_of_the_lag_fits_a_terminal(material: Material) -> None:
+    assert material.comparison is not None
+    slopes = [[Slope(-0.1234, std_s, 1.0, None)] for std_s in (0.001, 0.02, 0.08)]
+    lags = [estimate_session_lag(each) for each in (*slopes, [], [Slope(np.nan, None, np.nan, None)])]
+    said = [session_lag_text(replace(material.comparison, lag=lag)) for lag in lags]
+    assert len(set(said)) == 5 and max(map(len, said)) <= 100
+    assert "leads the read-back by 123 ms" in said[0] and "not applied" in said[1] and "no read-back" in said[3]
 
 
 # --- Errors --------------------------------------------------------------------------------------------------------

@@ -66,12 +66,12 @@ def figure7(comparison: Comparison, viewing_angles_deg: Viewing | None) -> Figur
         grid = figure.add_gridspec(
             rows,
             columns,
-            left=0.08,
+            left=0.092,
             right=0.99,
             top=1 - top_in / height_in,
             bottom=0.5 / height_in,
             hspace=0.24,
-            wspace=0.22,
+            wspace=0.25,
         )
         panels = [
             _draw_joint(figure, grid[i // columns, i % columns], joint, viewing_angles_deg)
