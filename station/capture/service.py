@@ -10,7 +10,7 @@ from __future__ import annotations
 from station.capture.control import Control, StopAsked
 from station.capture.counts import CaptureCounts
 from station.capture.crew import Crew
-from station.capture.ending import end
+from station.capture.ending import Unbroken, end
 from station.capture.leaving import leave, say_left
 from station.capture.live_view import LiveView
 from station.capture.pausing import heed
@@ -61,12 +61,14 @@ class Capture:
             StationError: the recording can't be written.
             DriverError: the bus or the camera fails, the arm doesn't arrive.
         """
-        finished, failure = False, None
+        ending, finished, failure = Unbroken("end of the capture"), False, None
         try:
             finished = self._drive()
         except BaseException as error:
             failure = error
-        return end(self._crew, self._writer, failure, complete=finished, leave=lambda: self._leave(failure, finished))
+        return end(
+            ending, self._crew, self._writer, failure, complete=finished, leave=lambda: self._leave(failure, finished)
+        )
 
     def _drive(self) -> bool:
         """Whether the whole motion was made."""
@@ -96,8 +98,7 @@ class Capture:
     def _leave(self, failure: BaseException | None, finished: bool) -> None:
         crew = self._crew
         if self._powered:
-            failed = isinstance(failure, Exception)
-            leave(crew, self._plan.joints, self._plan.park, failed=failed, stopped=not finished)
+            leave(crew, self._plan.joints, self._plan.park, failure=failure, finished=finished)
             return
         if isinstance(failure, Exception):
             crew.states.to(State.FAULT)
