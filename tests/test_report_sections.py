@@ -189,7 +189,11 @@ def test_a_view_shows_axes_from_the_side_and_up_upwards() -> None:
 def test_a_view_stays_on_the_cameras_side_also_when_it_looks_straight_down() -> None:
     up = np.array([0.0, 1.0, 0.0])
     towards = np.array([0.3, 0.1, 1.0])
-    assert view_axes(np.eye(3), up, towards)[2] @ towards > 0
+    for seed in range(20):
+        viewer = view_axes(np.random.default_rng(seed).normal(size=(3, 3)), up, towards)[2]
+        between = np.array([viewer, towards])[:, [0, 2]]
+        cosine = between[0] @ between[1] / np.prod(np.linalg.norm(between, axis=1))
+        assert cosine > 0.5 - 1e-9, "more than 60 deg to the side of the camera"
     assert np.all(np.isfinite(view_axes(np.eye(3), up, 2 * up)))
 
 
