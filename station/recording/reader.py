@@ -204,6 +204,9 @@ def _assembled(pieces: Sequence[Path], batches: Batches, notices: tuple[str, ...
     present = {name for batch in rows for name in batch.schema.names}
     columns = [name for name in MARKER_SHAPES if name in present or name not in ADDED]
     observed = Rows(rows, ELAPSED, [FRAME, "count", *columns])
+    seen = np.diff(observed.times, prepend=-np.inf) > 0
+    if repeated := int(np.sum(~seen)):
+        notices = (*notices, f"{repeated} frames were left out that have the stamp of another one")
     stamps_ns = read_stamps(measured)
     keep = last_of_equal(stamps_ns.sum(axis=1))
     read_s = seconds((stamps_ns[keep] - start_ns).sum(axis=1)) / 2
@@ -216,9 +219,9 @@ def _assembled(pieces: Sequence[Path], batches: Batches, notices: tuple[str, ...
         commanded=JointLog(seconds(commanded.times[sent]), joints, joint_states(commanded, len(joints))[sent], units),
         measured=JointLog(read_s, joints, states_at_one_time(measured, len(joints), start_ns, keep, read_s), units),
         stamps_ns=stamps_ns[keep],
-        observations=read_observations(observed, columns),
-        frame_index=observed.index(FRAME),
-        frame_ns=observed.times + start_ns,
+        observations=read_observations(observed, columns, seen),
+        frame_index=observed.index(FRAME)[seen],
+        frame_ns=observed.times[seen] + start_ns,
         events=read_events(batches.get(EVENTS, ())),
         servos=read_servos(batches.get(SERVOS, ())),
         pieces=tuple(pieces),
