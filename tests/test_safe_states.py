@@ -53,6 +53,7 @@ class Events:
     events: list[str] = field(default_factory=list)
     t_s: list[float] = field(default_factory=list)
     state: str = ""
+    counts: dict[str, int] = field(default_factory=dict)
 
     def log_command(self, t_ns: int, q: np.ndarray) -> None: ...
 
@@ -71,7 +72,7 @@ class Events:
         return next(t for t, event in zip(self.t_s, self.events, strict=True) if part in event)
 
     def close(self, state: str, counts: dict[str, int]) -> None:
-        self.state = state
+        self.state, self.counts = state, counts
 
 
 @dataclass

@@ -7,6 +7,7 @@ from station.capture.control import Control, StopAsked
 from station.capture.counts import CaptureCounts
 from station.capture.crew import NS_PER_S, SERVO_RATE_HZ, Crew
 from station.capture.ending import end
+from station.capture.leaving import say_left
 from station.capture.live_view import LiveView
 from station.capture.pausing import heed
 from station.capture.recorder import SessionWriter
@@ -94,10 +95,13 @@ class HandCapture:
         crew.frames.open()
 
     def _leave(self, failure: BaseException | None) -> None:
-        """There is nothing to be done to an arm that is limp."""
+        """There is nothing to be done to an arm that is limp, or to none."""
         if isinstance(failure, Exception):
             self._crew.states.to(State.FAULT)
-        self._crew.states.to(State.IDLE)
+        if self._crew.has_arm:
+            say_left(self._crew, "limp, as it was")
+        else:
+            self._crew.states.to(State.IDLE)
 
     def _done_ns(self) -> int:
         return self._crew.clock.now_ns() - self._start_ns

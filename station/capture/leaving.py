@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 
 from station.capture.approach import approach
 from station.capture.crew import Crew
+from station.capture.pausing import heed_pause
 from station.capture.states import State
 from station.logs import FloatArray
 from station.motion import JointLimits
@@ -14,8 +15,8 @@ from station.motion import JointLimits
 def leave(crew: Crew, joints: Sequence[JointLimits], park: FloatArray, *, failed: bool, stopped: bool) -> None:
     """Leave the arm as `[safety] at_exit` says: each step is tried, the first failure is raised when all have been.
 
-    Nobody's wish is heeded any more. An arm whose motion ended early first stays where it is, so that it doesn't run on
-    to its last goal.
+    A pause holds the arm on its way, too; nothing else that people ask is heeded any more. An arm whose motion ended
+    early first stays where it is, so that it doesn't run on to its last goal.
 
     Args:
         failed: after a failure.
@@ -35,15 +36,22 @@ def leave(crew: Crew, joints: Sequence[JointLimits], park: FloatArray, *, failed
     failures = [failure for step in steps if (failure := _tried(crew, step)) is not None]
     crew.situation.goal = None
     if failures:
+        crew.situation.step = f"arm NOT left as declared ({at_exit}): {failures[0]}"
         crew.states.to(State.FAULT)
         raise failures[0]
+    say_left(crew, at_exit)
+
+
+def say_left(crew: Crew, how: str) -> None:
+    """Nothing more is asked of the servos: say how the arm was left."""
+    crew.situation.step = f"arm left: {how}"
     crew.states.to(State.IDLE)
-    crew.journal.info(f"arm left: {at_exit}")
+    crew.journal.info(crew.situation.step)
 
 
 def _park(crew: Crew, joints: Sequence[JointLimits], park: FloatArray) -> None:
     crew.situation.step = "parking"
-    approach(crew, joints, park, heed=lambda: False)
+    approach(crew, joints, park, heed=lambda: heed_pause(crew, holds=True))
 
 
 def _tried(crew: Crew, step: Callable[[], None]) -> Exception | None:

@@ -9,10 +9,18 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TypedDict, Unpack
 
 from station.commands.planning import planned_motion
-from station.formats.camera import format_camera
+from station.errors import InvalidData
+from station.formats.camera import format_camera, parse_camera
 from station.formats.markers import format_markers
 from station.motion import Plan
-from station.session import SessionDescription, check_output_folder
+from station.session import (
+    MOTION_FILE,
+    RIG_FILE,
+    Checkpoint,
+    SessionDescription,
+    check_output_folder,
+    read_status,
+)
 
 if TYPE_CHECKING:
     from station.capture.control import Control
@@ -26,6 +34,8 @@ if TYPE_CHECKING:
     from station.releasing import Ask
     from station.rig import Rig, RigFile
 
+# On a virtual clock a session goes on so long after its last row: how long the machine took is of no account.
+VIRTUAL_GAP_S = 1.0
 # In the order of the report's facts.
 VERSIONED = ("capture-fit-station", "numpy", "scipy", "opencv-contrib-python-headless", "rerun-sdk", "dynamixel-sdk")
 
@@ -86,6 +96,73 @@ def record_motion(
         _live_view(opened, writer, out, settings) as live,
     ):
         return Capture(opened, planned, writer, live=live, **_wishes(settings)).run()
+
+
+def resume(session: Path, **settings: Unpack[CaptureSettings]) -> CaptureCounts:
+    """Go on with an interrupted session, also one that was killed, from its last checkpoint, into the same folder.
+
+    Rig, motion and camera are the session's own copies. The arm goes slowly from where it stands to where the leg that
+    was cut begins, and does that leg again. A session of a simulation goes on in the simulation, with its seed.
+
+    Returns the counts of what is captured now; session.json has those of the whole session.
+
+    Raises:
+        InvalidData: it was recorded by hand, or its motion.toml isn't the one that it was captured with.
+        StationError: there is nothing to go on with: no session, a complete one, or one that is being recorded.
+        DriverError: as for `capture`.
+    """
+    from station.capture.service import Capture
+    from station.recording import Recording, RecordingWriter
+    from station.view import session_blueprint
+
+    check_resumable(session)
+    about = Recording.load(session).description
+    rig_file = _own_rig(session, about)
+    planned, _ = planned_motion(rig_file, str(session / MOTION_FILE))
+    first_leg = _leg_to_go_on_from(session, planned, read_status(session).progress)
+    settings["seed"] = about.seed
+    settings["simulate"] = about.seed is not None
+    with (
+        _opened(rig_file, settings) as opened,
+        RecordingWriter.resume(
+            session,
+            now_ns=opened.clock.now_ns(),
+            since_last_s=VIRTUAL_GAP_S if opened.virtual else None,
+            blueprint=session_blueprint(about.joints),
+        ) as writer,
+        _live_view(opened, writer, session, settings) as live,
+    ):
+        return Capture(opened, planned, writer, live=live, first_leg=first_leg, **_wishes(settings)).run()
+
+
+def check_resumable(session: Path) -> None:
+    """Raise StationError unless the session is an interrupted one with a motion."""
+    if read_status(session).state == "complete":
+        raise InvalidData(f"{session} is complete: there is nothing to go on with; record into another folder")
+    if not (session / MOTION_FILE).is_file():
+        raise InvalidData(
+            f"{session} was recorded by hand: nobody knows where it is to go on; record into another folder"
+        )
+
+
+def _own_rig(session: Path, about: SessionDescription) -> RigFile:
+    """The rig as the session has it, with the camera as it was calibrated then."""
+    from station.rig import RigFile
+    from station.rig_reading import read_rig
+
+    table, text, path = read_rig(str(session / RIG_FILE))
+    return RigFile(table, text, str(path), parse_camera(about.camera, f"{session}, camera.toml"))
+
+
+def _leg_to_go_on_from(session: Path, planned: Plan, reached: Checkpoint | None) -> int:
+    if reached is None:
+        return 0
+    if reached.legs != len(planned.segments):
+        raise InvalidData(
+            f"{session / MOTION_FILE} has {len(planned.segments)} legs; the session was captured with {reached.legs}\n"
+            "put the session's own motion.toml back, or record into another folder"
+        )
+    return reached.leg
 
 
 def capture_by_hand(
