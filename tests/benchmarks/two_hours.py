@@ -149,7 +149,7 @@ def main() -> None:
         folder.mkdir(parents=True, exist_ok=True)
         session, rows = run(folder, 4 / 60 if chosen.quick else chosen.hours, chosen.fps, pictures)
         print(
-            f"{pictures.made} pictures drawn for {pictures.asked} frames, {pictures.mb:.0f} MB, not counted above or below"
+            f"{pictures.made} pictures drawn for {pictures.asked} frames; their {pictures.mb:.0f} MB are left out here"
         )
         show_memory(rows)
         code, peak_mb, processor_s = run_measured([*STATION, "fit", str(session)])
