@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 
 from station.commands import capturing
-from station.commands.fitting import MOST_SIGHTINGS
+from station.commands.fitting import MOST_MARKERS
 from station.perception.marker_tracker import MarkerTracker
 from station.rig import load_rig
 from station.stage import Stage
@@ -156,7 +156,7 @@ def main() -> None:
         verdict = "within" if peak_mb <= FIT_MB else "NOT within"
         print(
             f"fit: exit code {code}, peak {peak_mb:.0f} MB, {verdict} the {FIT_MB:.0f} MB that are stated "
-            f"(at most {MOST_SIGHTINGS} markers), {processor_s:.0f} s of processor time"
+            f"(at most {MOST_MARKERS} markers), {processor_s:.0f} s of processor time"
         )
 
 
