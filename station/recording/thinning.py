@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 
 import pyarrow as pa
-import pyarrow.compute as pc
 
 from station.errors import InvalidFile
 from station.recording.layout import FRAME
@@ -73,4 +72,4 @@ def _markers(batch: pa.RecordBatch) -> int:
     """How many markers there are in all rows of a batch."""
     if "count" not in batch.schema.names:
         raise InvalidFile("rows without count")
-    return int(pc.sum(pc.list_flatten(batch.column("count"))).as_py() or 0)
+    return int(batch.column("count").flatten().to_numpy(zero_copy_only=False).sum())
