@@ -18,6 +18,8 @@ from station.tracking import observe
 
 # A quarter of a second at 30 frames/s: what waits is lost to a kill.
 FRAMES_WAITING = 8
+# One that has waited for so long is dropped on a real clock: the machine can't keep up, and newer ones wait behind it.
+OLDEST_NS = 250_000_000
 # The live view gets a frame only while fewer of the places are taken.
 LIVE_UP_TO = 0.5
 _NONE = {name: np.zeros((0, *shape)) for name, shape in MARKER_SHAPES.items() if name != "marker_id"}
@@ -74,6 +76,9 @@ class Detection:
         self._worker.give("then", work)
 
     def _detect(self, frame: Frame) -> None:
+        if not self._worker.waits and self._rig.clock.now_ns() - _arrival_ns(frame) > OLDEST_NS:
+            self._tally.add("dropped_by_detection")
+            return
         detections = self._tracker.detect(frame.image)
         markers = observe(detections, self._rig.markers, self._rig.camera_model)
         self._found(frame, markers)
@@ -87,3 +92,7 @@ class Detection:
             self._tally.add("live_view_shed")
         else:
             self._live.offer(LiveFrame(frame.index, frame.t_ns, frame.image, markers))
+
+
+def _arrival_ns(frame: Frame) -> int:
+    return frame.t_ns if frame.arrived_ns is None else frame.arrived_ns

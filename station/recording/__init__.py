@@ -1,5 +1,11 @@
 """A session's recording in rerun files: the only modules, with station/view.py, that import rerun (0.6 s)."""
 
+import os
+
+# rerun's allocator (mimalloc) would keep most of what a stream has written: over hours that is hundreds of megabytes.
+# It looks at this when it is loaded.
+os.environ.setdefault("MIMALLOC_PURGE_DELAY", "0")
+
 from station.recording.contents import Event, ServoLog
 from station.recording.detected import append_detected
 from station.recording.lock import SessionBusy

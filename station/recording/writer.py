@@ -6,7 +6,6 @@ gone on with.
 
 from __future__ import annotations
 
-import os
 import uuid
 from collections import Counter
 from collections.abc import Mapping
@@ -25,6 +24,7 @@ from station.errors import OutputExists, StationError
 from station.perception.observations import FrameMarkers
 from station.recording.earlier import Earlier, read_earlier
 from station.recording.lock import SessionLock
+from station.recording.lossless import LosslessFrames, check_kind
 from station.recording.reader import Recording
 from station.recording.repair import join_pieces
 from station.recording.rrd_stream import FLUSH_TIMEOUT_S, RrdStream, check_rerun, written
@@ -39,6 +39,8 @@ from station.session import (
     SessionStatus,
     clear_session,
     drop_reserve,
+    frames_file,
+    lossless_files,
     piece_file,
     recording_pieces,
     reserve_status,
@@ -65,6 +67,7 @@ class RecordingWriter:
         start_ns: the session's start on the clock of the stamps; logs count their seconds from there.
         blueprint: the viewer's layout, kept in the file.
         force: replace an earlier session in the folder, its fit and its report.
+        frames: how images are kept: "jpeg", "none", or "ffv1", which loses nothing and needs the extra `lossless`.
         earlier: what `resume` goes on with.
 
     Raises:
@@ -81,15 +84,20 @@ class RecordingWriter:
         start_ns: int,
         blueprint: Blueprint | None = None,
         force: bool = False,
+        frames: str = "jpeg",
         earlier: Earlier | None = None,
     ) -> None:
         self._folder, self._about, self._earlier = folder, description, earlier
         self._path = folder / piece_file(earlier.piece if earlier else 0)
         self._start_ns = start_ns
-        self._counts = Counter(dict.fromkeys(COUNTED, 0))
+        self._counts: Counter[str] = Counter(dict.fromkeys(COUNTED, 0))
+        self._last_frame_ns: int | None = None
         self._closed = False
         self._rows = SessionRows(description)
         check_rerun()
+        check_kind(frames)
+        self._frames = frames
+        self._video: LosslessFrames | None = None
         folder.mkdir(parents=True, exist_ok=True)
         self._lock = earlier.lock if earlier else SessionLock(folder)
         try:
@@ -108,6 +116,7 @@ class RecordingWriter:
         now_ns: int,
         since_last_s: float | None = None,
         blueprint: Blueprint | None = None,
+        frames: str | None = None,
     ) -> RecordingWriter:
         """Go on in a session that was interrupted or killed: the same recording, clock and frame numbers go on.
 
@@ -117,6 +126,7 @@ class RecordingWriter:
             now_ns: what this program's clock says now.
             since_last_s: how long ago the last row was recorded; by the wall clock if None. The session's clock goes on
                 by that, and never backwards.
+            frames: how images are kept; without loss if None and if they were, else as JPEG.
 
         Raises:
             SessionBusy: another program records into the folder.
@@ -129,6 +139,7 @@ class RecordingWriter:
             earlier.description,
             start_ns=now_ns - round(earlier.elapsed_s * NS_PER_S),
             blueprint=blueprint,
+            frames=frames or ("ffv1" if lossless_files(folder) else "jpeg"),
             earlier=earlier,
         )
 
@@ -185,12 +196,19 @@ class RecordingWriter:
 
         Args:
             index: the camera's number of the frame, increasing; dropped frames leave gaps.
-            t_ns: stamp of its arrival, increasing.
+            t_ns: stamp of its arrival, increasing; a frame whose stamp isn't later than the last one's is left out and
+                counted.
             image: (H, W, 3) BGR or (H, W) grey, encoded here; or a JPEG's bytes; None leaves it out.
             markers: may be none.
         """
         self._check_open()
-        self._rows.frame(index, t_ns, image, markers)
+        if self._last_frame_ns is not None and t_ns <= self._last_frame_ns:
+            self._counts["repeated_frames"] += 1
+            return
+        self._last_frame_ns = t_ns
+        self._rows.frame(index, t_ns, image if self._frames == "jpeg" else None, markers)
+        if self._frames == "ffv1" and image is not None:
+            self._write_lossless(t_ns - self._start_ns, image)
         self._counts["frames"] += 1
 
     def flush(self, timeout_s: float = FLUSH_TIMEOUT_S) -> None:
@@ -209,6 +227,7 @@ class RecordingWriter:
         """
         self._check_open()
         self._stream.flush()
+        self._stream.sync()
         self._status = replace(self._status, progress=Checkpoint(leg, legs), counts=self._total(counts))
         self._write_status()
 
@@ -222,15 +241,14 @@ class RecordingWriter:
         self._closed = True
         self._status = replace(self._status, state="interrupted", ended=datetime.now(UTC), counts=self._total(counts))
         try:
-            self._stream.flush()
-            self._status = replace(self._status, state=state)
-        except StationError:
-            self._stream.end()
-            self._status = replace(self._status, counts=self._written_counts())
-            raise
+            failure = self._finished()
+            if failure is None:
+                self._status = replace(self._status, state=state)
+            else:
+                self._status = replace(self._status, counts=self._written_counts())
+            self._leave(failure)
         finally:
-            self._stream.end()
-            self._leave()
+            self._lock.release()
 
     def __enter__(self) -> RecordingWriter:
         return self
@@ -278,7 +296,7 @@ class RecordingWriter:
             self._stream.flush()
             self._rows.scene()
             self._stream.flush()
-            self._stream.start_timer()
+            self._stream.start_timers()
         except BaseException:
             self._stream.end()
             raise
@@ -291,23 +309,38 @@ class RecordingWriter:
             return {**counts, **written, "unwritten_frames": counts["frames"] - written["frames"]}
         return counts
 
-    def _leave(self) -> None:
-        """Have session.json say what became of the session, join its pieces, and let others into the folder."""
+    def _finished(self) -> StationError | None:
+        """Finish the file and have the disk keep it; what failed, if anything did."""
         try:
-            with written(self._path):
-                _sync(self._path)
-        except StationError:
-            self._status = replace(self._status, state="interrupted")
-            raise
-        finally:
-            try:
-                self._write_status()
-                drop_reserve(self._folder)
-                if self._earlier:
-                    with suppress(OSError, StationError):  # whoever opens it next tries again, and is told
-                        join_pieces(self._folder)
-            finally:
-                self._lock.release()
+            if self._video is not None:
+                self._video.close()
+            self._stream.flush()
+            self._stream.end()
+            self._stream.sync()
+        except StationError as error:
+            self._stream.end()
+            return error
+        return None
+
+    def _write_lossless(self, elapsed_ns: int, image: bytes | NDArray[np.uint8]) -> None:
+        from station.perception.jpeg import decode_jpeg
+
+        if self._video is None:
+            self._video = LosslessFrames(self._folder / frames_file(self._earlier.piece if self._earlier else 0))
+        self._video.write(elapsed_ns, decode_jpeg(image) if isinstance(image, bytes) else image)
+
+    def _leave(self, failure: StationError | None) -> None:
+        """Have session.json say what became of the session, and join its pieces; raises the first thing that failed."""
+        try:
+            self._write_status()
+        except StationError as error:
+            failure = failure or error
+        drop_reserve(self._folder)
+        if failure is not None:
+            raise failure
+        if self._earlier:
+            with suppress(OSError, StationError):  # whoever opens it next tries again, and is told
+                join_pieces(self._folder)
 
     def _write_status(self) -> None:
         with written(self._folder / STATUS_FILE):
@@ -323,9 +356,3 @@ class RecordingWriter:
     def _check_open(self) -> None:
         if self._closed:
             raise StationError(f"{self._path} is closed; nothing more is logged")
-
-
-def _sync(path: Path) -> None:
-    """Have the disk keep it before session.json calls it complete."""
-    with path.open("rb") as file:
-        os.fsync(file.fileno())

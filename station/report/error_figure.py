@@ -97,9 +97,8 @@ def _draw(axes: Axes, bins: Binned, unit: str, step: float) -> None:
     top = float(np.nanmax(shown)) if np.any(np.isfinite(shown)) else 1.0
     axes.set_ylim(0, 1.15 * top if top > 0 else 1.0)
     share = bins.frames / max(int(bins.frames.max(initial=0)), 1)
-    width = np.diff(bins.edges)
-    transform = axes.get_xaxis_transform()
-    axes.bar(bins.centres, 0.3 * share, width, transform=transform, color=LIGHT.faint, zorder=0, label=FRAMES)
+    across = axes.get_xaxis_transform()
+    axes.stairs(0.3 * share, bins.edges, fill=True, transform=across, color=LIGHT.faint, zorder=0, label=FRAMES)
 
 
 def _draw_legend(figure: Figure, height_in: float) -> None:

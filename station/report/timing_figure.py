@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from station.logs import FloatArray
+from station.report import thinning
 from station.report.material import Timing
 from station.report.style import LIGHT, WIDTH_IN, styled
 
@@ -17,6 +18,8 @@ if TYPE_CHECKING:
 ROW_IN = 1.55
 BINS = 60
 MS_PER_S = 1e3
+# Where bars on a logarithmic scale begin: below one.
+LOG_FLOOR = 0.5
 # Bars of frames lost over time.
 LOST_BINS = 120
 
@@ -69,7 +72,7 @@ def timing_figure(timing: Timing) -> Figure:
 
 def _draw_times(axes: Axes, title: str, t_s: FloatArray, interval_s: FloatArray, colour: str) -> None:
     axes.set_title(title, loc="left", fontsize=8.5, pad=3)
-    axes.plot(t_s, MS_PER_S * interval_s, color=colour, lw=0.7)
+    axes.plot(*thinning.line(t_s, MS_PER_S * interval_s), color=colour, lw=0.7)
     axes.set_ylabel("[ms]")
     axes.set_ylim(0, 1.1 * MS_PER_S * max(float(interval_s.max()), 1e-6))
 
@@ -81,7 +84,7 @@ def _draw_histogram(axes: Axes, interval_s: FloatArray, colour: str) -> None:
     if high - low < 1e-3 * max(high, 1e-6):
         low, high = 0.9 * low, 1.1 * high + 1e-6
     counts, edges = np.histogram(ms, bins=BINS, range=(low, high))
-    axes.bar(edges[:-1], counts, np.diff(edges), align="edge", color=colour)
+    axes.stairs(counts, edges, baseline=LOG_FLOOR, fill=True, color=colour)
     axes.set_yscale("log")
     axes.set_ylim(0.7, 1.5 * max(int(counts.max()), 2))
     axes.set_title("how often, by length [ms]", loc="left", fontsize=8.5, pad=3)
@@ -90,6 +93,6 @@ def _draw_histogram(axes: Axes, interval_s: FloatArray, colour: str) -> None:
 def _draw_lost(axes: Axes, timing: Timing) -> None:
     edges = np.linspace(timing.frame_s[0], timing.frame_s[-1], LOST_BINS + 1)
     counts, _ = np.histogram(timing.frame_s, bins=edges, weights=timing.lost)
-    axes.bar(edges[:-1], counts, np.diff(edges), align="edge", color=LIGHT.oblique)
+    axes.stairs(counts, edges, fill=True, color=LIGHT.oblique)
     axes.set_title("frames lost before", loc="left", fontsize=8.5, pad=3)
     axes.set_ylim(0, 1.1 * max(float(counts.max()), 1.0))

@@ -27,6 +27,8 @@ from tests.trials.losses import KINDS, Loss, losses, untrue
 from tests.trials.programs import Line, capture_arguments, program
 
 WANTED_S = 1.0
+# A fit wants two parts seen together in ten frames.
+FEW = 12
 
 
 @dataclass
@@ -98,17 +100,19 @@ def judge(done: Kill, session: Path, lines: list[Line], killed_ns: int) -> None:
     done.failures += [
         f"{kind}s of {age_s:.2f} s before the kill are missing"
         for kind, age_s in done.loss.age_s.items()
-        if age_s > (0 if ended else WANTED_S)
+        # Frames that are taken outside of the motion aren't meant to be recorded.
+        if age_s > (0 if ended else WANTED_S) and (kind != "taken" or done.phase == "moving")
     ]
-    if not ended and (wrong := untrue(session, recording)):
+    closed = ended or (done.phase == "closing" and done.loss.worst_s == 0)
+    if wrong := untrue(session, recording, complete=closed):
         done.failures.append(wrong)
     try:
         tree = fitting.fit(session, force=True).fit.tree
         done.fit = f"{len(tree.joints)} joints"
     except StationError as error:
-        done.fit = f"{recording.frames} frames: {str(error).splitlines()[0]}"
-        if recording.frames > 10:
-            done.failures.append(f"doesn't fit: {done.fit}")
+        done.fit = f"{'none' if not recording.frames else 'a few'} frames: too few for a fit, and it says so"
+        if recording.frames > FEW:
+            done.failures.append(f"doesn't fit its {recording.frames} frames: {error}")
 
 
 def show(kills: list[Kill]) -> None:
@@ -117,7 +121,8 @@ def show(kills: list[Kill]) -> None:
     print(f"phases: {dict(Counter(each.phase for each in kills))}")
     print(f"{'lost':10} {'median [s]':>10} {'p95 [s]':>8} {'max [s]':>8} {'items, max':>11} {'kept, all':>10}")
     for kind in KINDS:
-        ages = np.array([loss.age_s[kind] for loss in seen] or [0.0])
+        moving = [each.loss for each in kills if each.loss is not None and each.phase == "moving"]
+        ages = np.array([loss.age_s[kind] for loss in (moving if kind == "taken" else seen)] or [0.0])
         most, kept = max(loss.count[kind] for loss in seen), sum(loss.kept[kind] for loss in seen)
         row = f"{np.median(ages):10.2f} {np.percentile(ages, 95):8.2f} {ages.max():8.2f} {most:11} {kept:10}"
         print(f"{kind + 's':10} {row}")
