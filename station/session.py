@@ -28,6 +28,9 @@ RESERVE_FILE = "session.json.part"
 RESERVE_BYTES = 8192
 RIG_FILE = "rig.toml"
 MOTION_FILE = "motion.toml"
+# Frames without loss, with their stamps beside them (.csv).
+FRAMES_FILE = "frames.mkv"
+FRAMES = re.compile(r"frames(?:_(\d+))?\.mkv")
 LATER_PIECE = re.compile(r"recording_(\d+)\.rrd")
 FIT_FOLDER = "fit"
 FIT_FILE = "fit.rrd"
@@ -139,10 +142,25 @@ def recording_pieces(folder: Path) -> list[Path]:
     return [path for path in (first, *later_pieces(folder)) if path.exists()]
 
 
+def frames_file(number: int) -> str:
+    """Name of the piece's frames without loss, where they are kept so."""
+    return f"frames_{number}.mkv" if number else FRAMES_FILE
+
+
+def lossless_files(folder: Path) -> list[Path]:
+    """The session's frames without loss, in order; none where they are kept otherwise."""
+    return [folder / frames_file(number) for number in _frames_numbers(folder)]
+
+
+def _frames_numbers(folder: Path) -> list[int]:
+    matches = (FRAMES.fullmatch(path.name) for path in folder.glob("frames*.mkv"))
+    return sorted(int(match[1] or 0) for match in matches if match)
+
+
 def next_piece(folder: Path) -> int:
     """Number of the piece to go on in: one more than the last one that is there."""
-    numbers = _piece_numbers(folder)
-    return numbers[-1] + 1 if numbers else 1
+    numbers = _piece_numbers(folder) + _frames_numbers(folder)
+    return max(numbers, default=0) + 1
 
 
 def later_pieces(folder: Path) -> list[Path]:
@@ -159,7 +177,9 @@ def _piece_numbers(folder: Path) -> list[int]:
 def clear_session(folder: Path) -> None:
     """Remove an earlier session's files, fit and report, so that nothing of it passes for the next one's."""
     names = (RECORDING_FILE, JOINED_FILE, STATUS_FILE, RESERVE_FILE, RIG_FILE, MOTION_FILE)
-    for path in (*(folder / name for name in names), *later_pieces(folder)):
+    videos = lossless_files(folder)
+    stamps = [video.with_suffix(".csv") for video in videos]
+    for path in (*(folder / name for name in names), *later_pieces(folder), *videos, *stamps):
         path.unlink(missing_ok=True)
     for name in (FIT_FOLDER, REPORT_FOLDER):
         shutil.rmtree(folder / name, ignore_errors=True)

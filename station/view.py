@@ -19,6 +19,7 @@ from station.errors import InvalidFile, StationError
 from station.recording import layout
 from station.recording.blueprint import session_blueprint as session_blueprint
 from station.recording.live import HOST, free_port
+from station.recording.repair import repair
 from station.session import FIT_FILE, FIT_FOLDER, RECORDING_FILE, recording_pieces
 
 if TYPE_CHECKING:
@@ -40,6 +41,7 @@ def session_files(session: Path) -> list[Path]:
         InvalidFile: there is no recording.
     """
     recording = session / RECORDING_FILE if session.is_dir() else session
+    repair(session)
     pieces = recording_pieces(session) if session.is_dir() else [session]
     if not any(piece.is_file() for piece in pieces):
         raise InvalidFile(f"{recording} is missing; a session folder has its recording there")

@@ -53,6 +53,7 @@ class CaptureSettings(TypedDict, total=False):
         simulate: emulated bus and rendered camera whatever the rig names.
         realtime: the real clock also where all is simulated.
         force: overwrite an earlier session in the folder.
+        frames: how images are kept: "jpeg" (if not given), "none", or "ffv1", without loss.
         progress: called with seconds done and in all.
         control: what people ask of the capture while it runs: pause, go on, stop.
         watch: called some times a second with what the capture is doing.
@@ -63,6 +64,7 @@ class CaptureSettings(TypedDict, total=False):
     simulate: bool
     realtime: bool
     force: bool
+    frames: str
     progress: Progress | None
     control: Control | None
     watch: Watcher | None
@@ -258,4 +260,5 @@ def _writer(
         start_ns=opened.clock.now_ns(),
         blueprint=session_blueprint(joints),
         force=settings.get("force", False),
+        frames=settings.get("frames", "jpeg"),
     )

@@ -47,11 +47,12 @@ from station.recording.layout import (
     SCALARS,
     SERVOS,
 )
+from station.recording.lossless import find_lossless
 from station.recording.opening import errors_of, has_rows, open_piece, read_piece
 from station.recording.repair import correct_status, repair
 from station.recording.rows import Rows
 from station.recording.thinning import Thinning
-from station.session import RECORDING_FILE, SessionDescription, recording_pieces
+from station.session import RECORDING_FILE, SessionDescription, lossless_files, recording_pieces
 
 Batches = Mapping[str, Sequence[pa.RecordBatch]]
 
@@ -181,13 +182,18 @@ class Recording:
                 yield from images(stream)
 
     def frame_image(self, row: int) -> NDArray[np.uint8]:
-        """The frame in this row of `observations.t_s`, decoded: (H, W, 3) BGR."""
-        import cv2
+        """The frame in this row of `observations.t_s`, decoded: (H, W, 3) BGR; without loss where it is kept so."""
+        videos = lossless_files(self.path.parent)
+        if videos and 0 <= row < self.frames:
+            image = find_lossless(videos, int(self.frame_ns[row]) - self.start_ns)
+            if image is not None:
+                return image
+        from station.perception.jpeg import decode_jpeg
 
-        image = cv2.imdecode(np.frombuffer(self.frame_jpeg(row), np.uint8), cv2.IMREAD_COLOR)
-        if image is None:
-            raise InvalidFile(f"{self.path}: the image of frame {row} can't be decoded")
-        return np.asarray(image, np.uint8)
+        try:
+            return decode_jpeg(self.frame_jpeg(row))
+        except InvalidData as error:
+            raise InvalidFile(f"{self.path}: the image of frame {row}: {error}") from error
 
 
 def _batches(stream: LazyChunkStream, *, piece: Path, thinning: Thinning) -> Batches:

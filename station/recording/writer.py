@@ -24,6 +24,7 @@ from station.errors import OutputExists, StationError
 from station.perception.observations import FrameMarkers
 from station.recording.earlier import Earlier, read_earlier
 from station.recording.lock import SessionLock
+from station.recording.lossless import LosslessFrames, check_kind
 from station.recording.reader import Recording
 from station.recording.repair import join_pieces
 from station.recording.rrd_stream import FLUSH_TIMEOUT_S, RrdStream, check_rerun, written
@@ -38,6 +39,8 @@ from station.session import (
     SessionStatus,
     clear_session,
     drop_reserve,
+    frames_file,
+    lossless_files,
     piece_file,
     recording_pieces,
     reserve_status,
@@ -64,6 +67,7 @@ class RecordingWriter:
         start_ns: the session's start on the clock of the stamps; logs count their seconds from there.
         blueprint: the viewer's layout, kept in the file.
         force: replace an earlier session in the folder, its fit and its report.
+        frames: how images are kept: "jpeg", "none", or "ffv1", which loses nothing and needs the extra `lossless`.
         earlier: what `resume` goes on with.
 
     Raises:
@@ -80,6 +84,7 @@ class RecordingWriter:
         start_ns: int,
         blueprint: Blueprint | None = None,
         force: bool = False,
+        frames: str = "jpeg",
         earlier: Earlier | None = None,
     ) -> None:
         self._folder, self._about, self._earlier = folder, description, earlier
@@ -90,6 +95,9 @@ class RecordingWriter:
         self._closed = False
         self._rows = SessionRows(description)
         check_rerun()
+        check_kind(frames)
+        self._frames = frames
+        self._video: LosslessFrames | None = None
         folder.mkdir(parents=True, exist_ok=True)
         self._lock = earlier.lock if earlier else SessionLock(folder)
         try:
@@ -108,6 +116,7 @@ class RecordingWriter:
         now_ns: int,
         since_last_s: float | None = None,
         blueprint: Blueprint | None = None,
+        frames: str | None = None,
     ) -> RecordingWriter:
         """Go on in a session that was interrupted or killed: the same recording, clock and frame numbers go on.
 
@@ -117,6 +126,7 @@ class RecordingWriter:
             now_ns: what this program's clock says now.
             since_last_s: how long ago the last row was recorded; by the wall clock if None. The session's clock goes on
                 by that, and never backwards.
+            frames: how images are kept; without loss if None and if they were, else as JPEG.
 
         Raises:
             SessionBusy: another program records into the folder.
@@ -129,6 +139,7 @@ class RecordingWriter:
             earlier.description,
             start_ns=now_ns - round(earlier.elapsed_s * NS_PER_S),
             blueprint=blueprint,
+            frames=frames or ("ffv1" if lossless_files(folder) else "jpeg"),
             earlier=earlier,
         )
 
@@ -195,7 +206,9 @@ class RecordingWriter:
             self._counts["repeated_frames"] += 1
             return
         self._last_frame_ns = t_ns
-        self._rows.frame(index, t_ns, image, markers)
+        self._rows.frame(index, t_ns, image if self._frames == "jpeg" else None, markers)
+        if self._frames == "ffv1" and image is not None:
+            self._write_lossless(t_ns - self._start_ns, image)
         self._counts["frames"] += 1
 
     def flush(self, timeout_s: float = FLUSH_TIMEOUT_S) -> None:
@@ -299,6 +312,8 @@ class RecordingWriter:
     def _finished(self) -> StationError | None:
         """Finish the file and have the disk keep it; what failed, if anything did."""
         try:
+            if self._video is not None:
+                self._video.close()
             self._stream.flush()
             self._stream.end()
             self._stream.sync()
@@ -306,6 +321,13 @@ class RecordingWriter:
             self._stream.end()
             return error
         return None
+
+    def _write_lossless(self, elapsed_ns: int, image: bytes | NDArray[np.uint8]) -> None:
+        from station.perception.jpeg import decode_jpeg
+
+        if self._video is None:
+            self._video = LosslessFrames(self._folder / frames_file(self._earlier.piece if self._earlier else 0))
+        self._video.write(elapsed_ns, decode_jpeg(image) if isinstance(image, bytes) else image)
 
     def _leave(self, failure: StationError | None) -> None:
         """Have session.json say what became of the session, and join its pieces; raises the first thing that failed."""
