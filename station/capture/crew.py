@@ -14,6 +14,7 @@ from station.capture.recorder import Recorder, SessionWriter
 from station.capture.snapshot import Watcher
 from station.capture.states import State, StateMachine
 from station.capture.watching import Situation, Watching
+from station.enough_motion import MotionTally, sides_of
 from station.rig import Rig
 
 NS_PER_S = 1_000_000_000
@@ -21,6 +22,8 @@ SERVO_RATE_HZ = 50.0
 TURN_NS = round(NS_PER_S / SERVO_RATE_HZ)
 # Temperatures and voltages change slowly.
 SERVO_STATES_EVERY_NS = NS_PER_S // 2
+# Motion is counted so often, with the parts that were seen within so long before.
+MOTION_EVERY_NS = NS_PER_S // 10
 
 
 class Crew:
@@ -43,6 +46,7 @@ class Crew:
         self.rig, self.clock, self.has_arm = rig, rig.clock, bool(rig.table.joint)
         self.control = control or Control()
         self.tally, self.situation = Tally(), Situation()
+        self.motion = MotionTally(rig.table.limits(), sides_of(rig.table))
         self.recorder = Recorder(writer, self.tally, waits=rig.virtual)
         self.journal = Journal(rig.clock, self.recorder, live)
         self.frames = FrameLine(rig, self.recorder, self.journal, self.tally, live)
@@ -50,6 +54,7 @@ class Crew:
         self.leaving = False
         self._live = live
         self._servos_ns: int | None = None
+        self._motion_ns: int | None = None
         self._watching = Watching(rig.table, rig.clock.now_ns(), watch)
 
     def start(self) -> None:
@@ -78,10 +83,18 @@ class Crew:
                 self.recorder.command(reading.t_request_ns, self.situation.goal)
             self.recorder.reading(reading)
             self.tally.add("readings")
+            self._count_motion(reading)
         if self._live is not None:
             self._live.offer(LiveReading(reading.t_ns, reading.q, self.situation.goal))
         self.tell()
         return reading
+
+    def _count_motion(self, reading: ArmReading) -> None:
+        if self._motion_ns is None or reading.t_ns - self._motion_ns >= MOTION_EVERY_NS:
+            self._motion_ns = reading.t_ns
+            seen_ns = self.frames.detection.seen_ns
+            self.motion.add(reading.q, {part for part, t in seen_ns.items() if reading.t_ns - t <= MOTION_EVERY_NS})
+            self.situation.motion_shares = self.motion.shares()
 
     def tell(self) -> None:
         """Show the capture to who watches, if it is time."""

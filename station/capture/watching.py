@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 from drivers.arm import ArmReading
 from station.capture.counts import CaptureCounts
@@ -30,6 +30,7 @@ class Situation:
         step: what is under way, in words.
         reading: the last one; None before the first.
         goal: (J,) where the arm is told to be; None where torque is off.
+        motion_shares: by joint, as `MotionTally` tells them.
     """
 
     done_s: float = 0.0
@@ -37,6 +38,7 @@ class Situation:
     step: str = ""
     reading: ArmReading | None = None
     goal: FloatArray | None = None
+    motion_shares: Mapping[str, float | None] = field(default_factory=dict[str, float | None])
 
 
 class Watching:
@@ -92,7 +94,10 @@ class Watching:
         if reading is None:
             return ()
         return tuple(
-            _joint(joint.name, joint.unit, [servo.id for servo in joint.servo], reading, j, goal)
+            replace(
+                _joint(joint.name, joint.unit, [servo.id for servo in joint.servo], reading, j, goal),
+                motion_share=situation.motion_shares.get(joint.name),
+            )
             for j, joint in enumerate(self._table.joint)
         )
 

@@ -8,6 +8,7 @@ from itertools import combinations
 import numpy as np
 
 from station.fit.comparison import MIN_FRAMES
+from station.fit.excitation import motion_share
 from station.fit.reading import JointReading
 from station.kinematics.joints import JOINT_TYPES
 from station.kinematics.tree import Joint
@@ -17,8 +18,6 @@ from station.logs import FloatArray, PoseLog
 UNCERTAIN_AXIS_RAD = float(np.radians(5.0))
 UNCERTAIN_POINT_M = 0.05
 UNCERTAIN_PITCH = 1 / 3
-# Less travel than this [rad, m] is what makes an axis uncertain; with more it is the noise.
-SMALL_TRAVEL = {"rad": float(np.radians(15.0)), "m": 0.05}
 # A ball's second turn [rad], as a deviation, that is not told from none: below this, or so many deviations of a state.
 ONE_TURN_RAD, ONE_TURN_DEVIATIONS = float(np.radians(2.0)), 2.0
 # Probability below which a type is worth a word.
@@ -82,7 +81,7 @@ def _motion(joint: Joint) -> list[str]:
     moved = f"{np.degrees(travel):.1f} deg" if unit == "rad" else f"{travel * 1e3:.1f} mm"
     if joint.axis_std_rad < UNCERTAIN_AXIS_RAD:
         return _place(joint, "a point of its axis")
-    if travel < SMALL_TRAVEL[unit]:
+    if motion_share(travel, unit) < 1:
         return [f"{joint.name} moved only {moved}: its axis is not identifiable"]
     return [f"{joint.name}: its axis is known to {np.degrees(joint.axis_std_rad):.0f} deg only"]
 
