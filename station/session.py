@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
@@ -17,9 +18,12 @@ SESSION_SCHEMA = "session/1"
 STATES = ("recording", "complete", "interrupted")
 
 RECORDING_FILE = "recording.rrd"
+# A session that was gone on with has further pieces until they are joined; this one, while it is there, is all of them.
+JOINED_FILE = "recording.joined.rrd"
 STATUS_FILE = "session.json"
 RIG_FILE = "rig.toml"
 MOTION_FILE = "motion.toml"
+LATER_PIECE = re.compile(r"recording_(\d+)\.rrd")
 FIT_FOLDER = "fit"
 FIT_FILE = "fit.rrd"
 REPORT_FOLDER = "report"
@@ -52,6 +56,27 @@ class SessionDescription:
 
 
 @dataclass(frozen=True)
+class Checkpoint:
+    """How far a plan has come: leg number `leg`, counted from 0, of `legs` begins."""
+
+    leg: int
+    legs: int
+
+
+@dataclass(frozen=True)
+class SessionStart:
+    """A program began to record: the session's first one, or one that went on with it.
+
+    Attributes:
+        when: wall-clock time.
+        elapsed_s: what the session's clock said then, seconds since the session's start.
+    """
+
+    when: datetime
+    elapsed_s: float
+
+
+@dataclass(frozen=True)
 class SessionStatus:
     """What session.json says.
 
@@ -63,6 +88,8 @@ class SessionStatus:
         seed: seed of everything random in a simulated session; None on real hardware.
         counts: frames, dropped frames, bus errors and what else was counted.
         versions: of the programs that made it.
+        progress: the last checkpoint that was reached; None before the first, and where there is no plan.
+        starts: of the programs that recorded, the first one included; none in sessions made before 0.2.0.
 
     Raises:
         InvalidFile: for another state.
@@ -75,6 +102,8 @@ class SessionStatus:
     seed: int | None = None
     counts: Mapping[str, int] = field(default_factory=dict)
     versions: Mapping[str, str] = field(default_factory=dict)
+    progress: Checkpoint | None = None
+    starts: tuple[SessionStart, ...] = ()
 
     def __post_init__(self) -> None:
         if self.state not in STATES:
@@ -89,10 +118,43 @@ def check_output_folder(path: Path, *, force: bool = False) -> None:
         raise OutputExists(f"{path} exists and isn't empty\nname another folder with --out, or overwrite with --force")
 
 
+def piece_file(number: int) -> str:
+    """Name of the recording's piece; 0 is the first one, which is all of it in most sessions."""
+    return f"recording_{number}.rrd" if number else RECORDING_FILE
+
+
+def recording_pieces(folder: Path) -> list[Path]:
+    """The files that together are the session's recording, in order; none where nothing was recorded.
+
+    A session that was gone on with has several, until they are joined.
+    """
+    if (joined := folder / JOINED_FILE).exists():
+        return [joined]
+    first = folder / RECORDING_FILE
+    return [path for path in (first, *_later_pieces(folder)) if path.exists()]
+
+
+def next_piece(folder: Path) -> int:
+    """Number of the piece to go on in: one more than the last one that is there."""
+    numbers = _piece_numbers(folder)
+    return numbers[-1] + 1 if numbers else 1
+
+
+def _later_pieces(folder: Path) -> list[Path]:
+    return [folder / piece_file(number) for number in _piece_numbers(folder)]
+
+
+def _piece_numbers(folder: Path) -> list[int]:
+    """Of the pieces after the first one, in order."""
+    matches = (LATER_PIECE.fullmatch(path.name) for path in folder.glob("recording_*.rrd"))
+    return sorted(int(match[1]) for match in matches if match)
+
+
 def clear_session(folder: Path) -> None:
     """Remove an earlier session's files, fit and report, so that nothing of it passes for the next one's."""
-    for name in (RECORDING_FILE, STATUS_FILE, RIG_FILE, MOTION_FILE):
-        (folder / name).unlink(missing_ok=True)
+    names = (RECORDING_FILE, JOINED_FILE, STATUS_FILE, RIG_FILE, MOTION_FILE)
+    for path in (*(folder / name for name in names), *_later_pieces(folder)):
+        path.unlink(missing_ok=True)
     for name in (FIT_FOLDER, REPORT_FOLDER):
         shutil.rmtree(folder / name, ignore_errors=True)
 
@@ -100,9 +162,9 @@ def clear_session(folder: Path) -> None:
 def write_status(folder: Path, status: SessionStatus) -> None:
     """Write session.json in one step: a reader finds the old one or the new one, never half of it."""
     document = {"schema": SESSION_SCHEMA, **asdict(status)}
-    for key in ("started", "ended"):
-        if (when := document[key]) is not None:
-            document[key] = when.astimezone(UTC).isoformat(timespec="milliseconds")
+    document["started"] = _text(status.started)
+    document["ended"] = None if status.ended is None else _text(status.ended)
+    document["starts"] = [{"when": _text(start.when), "elapsed_s": start.elapsed_s} for start in status.starts]
     part = folder / f"{STATUS_FILE}.part"
     with part.open("w", encoding="utf-8") as file:
         json.dump(document, file, indent=2, allow_nan=False)
@@ -130,10 +192,17 @@ def read_status(folder: Path) -> SessionStatus:
         raise InvalidFile(f"{path}: {error}") from error
 
 
+def _text(when: datetime) -> str:
+    return when.astimezone(UTC).isoformat(timespec="milliseconds")
+
+
 def _to_status(document: dict[str, Any]) -> SessionStatus:
     started, ended = document.pop("started"), document.pop("ended")
+    progress, starts = document.pop("progress", None), document.pop("starts", ())
     return SessionStatus(
         started=datetime.fromisoformat(started),
         ended=None if ended is None else datetime.fromisoformat(ended),
+        progress=None if progress is None else Checkpoint(**progress),
+        starts=tuple(SessionStart(datetime.fromisoformat(s["when"]), s["elapsed_s"]) for s in starts),
         **document,
     )

@@ -20,13 +20,13 @@ import rerun.blueprint as rrb
 
 from station.errors import InvalidFile, StationError
 from station.recording import layout
-from station.session import FIT_FILE, FIT_FOLDER, RECORDING_FILE
+from station.recording.live import HOST, free_port
+from station.session import FIT_FILE, FIT_FOLDER, RECORDING_FILE, recording_pieces
 
 if TYPE_CHECKING:
     from rerun.encodings import EntityPathLike
     from rerun.experimental import ViewerClient
 
-HOST = "127.0.0.1"
 # What a slow machine without a graphics card needs to show a window, to load a session, to draw all of it, s.
 START_S = 30.0
 LOAD_S = 60.0
@@ -42,7 +42,13 @@ def session_blueprint(joints: Sequence[str]) -> rrb.Blueprint:
     """The viewer's layout: camera and markers in space, the image with the detected corners, the joints, the log."""
     space = rrb.Spatial3DView(
         name="space",
-        contents=[f"/{layout.IMAGE}", f"/{layout.TRANSFORMS}", f"/{layout.MARKERS}/**", f"/{layout.AXES}/**"],
+        contents=[
+            f"/{layout.IMAGE}",
+            f"/{layout.LIVE_IMAGE}",
+            f"/{layout.TRANSFORMS}",
+            f"/{layout.MARKERS}/**",
+            f"/{layout.AXES}/**",
+        ],
         spatial_information=rrb.SpatialInformation(target_frame=layout.CAMERA_FRAME),
         # From above and to the right of the camera, whose y points down.
         eye_controls=rrb.EyeControls3D(position=(0.36, -0.31, -0.16), look_target=(0, 0, 0.4), eye_up=(0, -1, 0)),
@@ -63,6 +69,7 @@ def _joint_views(joints: Sequence[str]) -> rrb.Tabs:
         rrb.TimeSeriesView(name="joints", origin="/", contents=[f"/{entity}" for entity in JOINT_STATES]),
         # One more than there are joints stands for all that a fit names otherwise.
         *[_joint_view(joint, [other == joint for other in (*joints, "")]) for joint in joints],
+        *([rrb.TimeSeriesView(name="servos", origin=f"/{layout.SERVOS}")] if joints else []),
     )
 
 
@@ -75,16 +82,17 @@ def _joint_view(joint: str, shown: Sequence[bool]) -> rrb.TimeSeriesView:
 
 
 def session_files(session: Path) -> list[Path]:
-    """The recording of a session folder, and its fit's where there is one; of an .rrd, itself.
+    """The pieces of a session folder's recording, and its fit's where there is one; of an .rrd, itself.
 
     Raises:
         InvalidFile: there is no recording.
     """
     recording = session / RECORDING_FILE if session.is_dir() else session
-    if not recording.is_file():
+    pieces = recording_pieces(session) if session.is_dir() else [session]
+    if not any(piece.is_file() for piece in pieces):
         raise InvalidFile(f"{recording} is missing; a session folder has its recording there")
     fit = session / FIT_FOLDER / FIT_FILE
-    return [path.resolve() for path in (recording, fit) if path.is_file()]
+    return [path.resolve() for path in (*pieces, fit) if path.is_file()]
 
 
 class Viewer:
@@ -101,7 +109,7 @@ class Viewer:
     def __init__(self, arguments: Sequence[str], *, headless: bool = False) -> None:
         if not headless and sys.platform == "linux" and not any(map(os.environ.get, ("DISPLAY", "WAYLAND_DISPLAY"))):
             raise StationError("no screen to open the viewer on (DISPLAY isn't set)\nopen it on a machine that has one")
-        self.port = _free_port()
+        self.port = free_port()
         self._home = tempfile.TemporaryDirectory(prefix="station-viewer-", ignore_cleanup_errors=True)
         self._output = Path(self._home.name) / "output.txt"
         options = ["--bind", HOST, "--port", str(self.port), *(["--headless"] if headless else [])]
@@ -251,12 +259,6 @@ def _reason(said: str) -> str:
         return "the viewer finds no Vulkan adapter\na software one is in the package mesa-vulkan-drivers"
     lines = [line for line in said.splitlines() if line.strip()]
     return "\n".join(["the viewer ended", *(line[:200] for line in lines[-3:])])
-
-
-def _free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind((HOST, 0))
-        return probe.getsockname()[1]
 
 
 def _listens(port: int) -> bool:

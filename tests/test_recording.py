@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import signal
-import socket
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -286,29 +285,6 @@ def test_rerun_off_in_the_environment_is_an_error(tmp_path: Path, monkeypatch: p
     with pytest.raises(StationError, match="RERUN=off"):
         RecordingWriter(tmp_path / "s", describe(), start_ns=0)
     assert not (tmp_path / "s").exists()
-
-
-def test_a_taken_port_is_an_error(tmp_path: Path) -> None:
-    with socket.create_server(("127.0.0.1", 0)) as taken:
-        port = taken.getsockname()[1]
-        with pytest.raises(StationError, match=f"port {port}"):
-            RecordingWriter(tmp_path / "s", describe(), start_ns=0, viewer_port=port)
-    assert not (tmp_path / "s").exists()
-
-
-def test_a_live_view_listens_on_this_machine_only(tmp_path: Path) -> None:
-    with socket.create_server(("127.0.0.1", 0)) as free:
-        port = free.getsockname()[1]
-    with RecordingWriter(tmp_path / "s", describe(), start_ns=0, viewer_port=port):
-        assert f"0100007F:{port:04X}" in listening()
-        assert f"00000000:{port:04X}" not in listening()
-    assert f"0100007F:{port:04X}" not in listening()
-
-
-def listening() -> set[str]:
-    """Addresses and ports that listen, as the kernel lists them: IPv4 in hexadecimal, little-endian."""
-    rows = [line.split() for line in Path("/proc/net/tcp").read_text().splitlines()[1:]]
-    return {row[1] for row in rows if row[3] == "0A"}
 
 
 def test_nothing_is_logged_after_closing(tmp_path: Path) -> None:
@@ -623,7 +599,7 @@ def test_joints_read_one_after_the_other_are_brought_to_one_time(tmp_path: Path)
 
 def test_a_recording_without_corner_covariances_is_read(tmp_path: Path, frames: list[MadeFrame], monkeypatch) -> None:
     older = {name: shape for name, shape in MARKER_SHAPES.items() if name != "corner_covariance_px2"}
-    monkeypatch.setattr("station.recording.writer.MARKER_SHAPES", older)
+    monkeypatch.setattr("station.recording.session_rows.MARKER_SHAPES", older)
     seen = Recording.load(make_session(tmp_path / "older", frames)).observations
     assert np.all(np.isnan(seen.corner_covariance_px2))
     assert seen.corners_px.tobytes() == np.concatenate([f.markers.corners_px for f in frames]).tobytes()

@@ -15,8 +15,10 @@ from station.motion import Plan
 from station.session import SessionDescription, check_output_folder
 
 if TYPE_CHECKING:
+    from station.capture.control import Control
     from station.capture.counts import CaptureCounts
     from station.capture.service import Progress
+    from station.capture.snapshot import Watcher
     from station.hand_motion import HandMotion
     from station.recording import RecordingWriter
     from station.releasing import Ask
@@ -40,6 +42,8 @@ class CaptureSettings(TypedDict, total=False):
         realtime: the real clock also where all is simulated.
         force: overwrite an earlier session in the folder.
         progress: called with seconds done and in all.
+        control: what people ask of the capture while it runs: pause, go on, stop.
+        watch: called some times a second with what the capture is doing.
     """
 
     seed: int | None
@@ -47,6 +51,8 @@ class CaptureSettings(TypedDict, total=False):
     realtime: bool
     force: bool
     progress: Progress | None
+    control: Control | None
+    watch: Watcher | None
 
 
 def capture(rig: str, motion: str, out: Path, **settings: Unpack[CaptureSettings]) -> CaptureCounts:

@@ -12,7 +12,7 @@ from station.logs import FloatArray, JointLog, PoseLog
 from station.recording import scene
 from station.recording.layout import AXES, CAMERA_FRAME, DETECTED, ELAPSED
 from station.recording.reader import Recording
-from station.recording.writer import forget_ended_streams, open_stream, written
+from station.recording.rrd_stream import forget_ended_streams, open_stream, written
 from station.session import FIT_FILE, FIT_FOLDER
 
 if TYPE_CHECKING:

@@ -14,10 +14,12 @@ FRAME = "frame"
 # Entities.
 COMMANDED = "joints/commanded"
 MEASURED = "joints/measured"
+SERVOS = "servos"
 DETECTED = "joints/detected"
 OBSERVATIONS = "observations"
 IMAGE = "camera/image"
 OVERLAY = "camera/image/markers"
+LIVE_IMAGE = "camera/image/live"  # of the live view alone: smaller than the camera's
 TRANSFORMS = "tf/markers"
 MARKERS = "markers"
 EVENTS = "log"
@@ -25,6 +27,14 @@ AXES = "fit/axes"
 
 # Columns.
 SCALARS = "Scalars:scalars"
+SERVO_ID = "servo_id"
+# A row of servos has all of the first quantity, then all of the next; what the viewer calls them.
+SERVO_QUANTITIES = {
+    "temperature_c": "temperature (degC)",
+    "voltage_v": "voltage (V)",
+    "load": "load",
+    "speed_rad_s": "speed (rad/s)",
+}
 REQUEST, REPLY, JOINT_STAMPS = "t_request_ns", "t_reply_ns", "t_joint_ns"
 BLOB = "EncodedImage:blob"
 LEVEL, TEXT = "TextLog:level", "TextLog:text"
@@ -32,6 +42,7 @@ LEVEL, TEXT = "TextLog:level", "TextLog:text"
 # Frames of the viewer's transform graph.
 CAMERA_FRAME = "camera"
 IMAGE_FRAME = "camera_image"
+LIVE_IMAGE_FRAME = "camera_image_live"
 
 
 def marker_frame(marker_id: int) -> str:

@@ -151,6 +151,10 @@ class Rows:
     def _lists(self, name: str) -> pa.ListArray:
         return self._columns[name].take(pa.array(self._order))
 
+    def lengths(self, name: str) -> IntArray:
+        """(N,) how many values a component column has in each row."""
+        return _lengths(self._lists(name)) if len(self) else np.zeros(0, np.int64)
+
     def texts(self, name: str) -> list[str]:
         """N texts of a component column, one a row; empty where there is none."""
         return [(texts or [""])[0] for texts in self._lists(name).to_pylist()]

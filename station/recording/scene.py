@@ -13,7 +13,15 @@ from calibration.intrinsics import CameraModel
 from station.logs import FloatArray
 from station.perception.markers import Marker, MarkerTable
 from station.perception.observations import FrameMarkers
-from station.recording.layout import CAMERA_FRAME, IMAGE, IMAGE_FRAME, MARKERS, OVERLAY, marker_frame
+from station.recording.layout import (
+    CAMERA_FRAME,
+    IMAGE,
+    IMAGE_FRAME,
+    MARKERS,
+    OVERLAY,
+    SERVO_QUANTITIES,
+    marker_frame,
+)
 
 # The viewer's pixel (0, 0) is the corner of the top-left pixel, ours its centre, px.
 PIXEL_CENTRE_PX = 0.5
@@ -68,6 +76,15 @@ def detected_series(joints: Sequence[str], units: Sequence[str]) -> rr.SeriesLin
     """The detected states, thick and dark, behind the others."""
     dark = [mixed(colour, BLACK, 0.35) for colour in colours(len(joints))]
     return _series(joints, units, "detected", dark, 4.0, "Linear")
+
+
+def servo_series(ids: Sequence[int]) -> rr.SeriesLines:
+    """Temperature, voltage, load and speed of each servo, in its colour."""
+    return rr.SeriesLines(
+        names=[f"servo {n} {quantity}" for quantity in SERVO_QUANTITIES.values() for n in ids],
+        colors=colours(len(ids)) * len(SERVO_QUANTITIES),
+        widths=[1.5] * (len(ids) * len(SERVO_QUANTITIES)),
+    )
 
 
 def _series(
