@@ -47,7 +47,7 @@ def drawn_scene(rig: RigTable, simulation: SimulationTable, camera: CameraModel,
         notes=(
             "places of markers, boxes and camera are those that the rig's [simulation] draws",
             *notes,
-            *_unplaced(rig, {mount.marker_id for mount in mounts}, "the rig's [simulation]"),
+            *unplaced(rig, {mount.marker_id for mount in mounts}, "the rig's [simulation]"),
         ),
     )
 
@@ -63,6 +63,7 @@ def exposure(rig: RigTable, *, simulate: bool) -> tuple[float, tuple[str, ...]]:
     return ASSUMED_EXPOSURE_S, (assumed,)
 
 
-def _unplaced(rig: RigTable, placed: set[int], where: str) -> tuple[str, ...]:
+def unplaced(rig: RigTable, placed: set[int], where: str) -> tuple[str, ...]:
+    """A note of the rig's markers whose places are not known, if there are any."""
     missing = [f"{marker.id} ({marker.part})" for marker in rig.marker_table().markers if marker.id not in placed]
     return (f"nothing is known of the places of markers {', '.join(missing)}: {where} has none",) if missing else ()

@@ -13,7 +13,8 @@ from station.kinematics import se3
 from station.logs import FloatArray
 
 # Cells. The detector needs a little of the white beyond each edge; of a corner it can miss a little. By
-# tests/benchmarks/detection_limits.py about half of the markers are lost when this is covered.
+# tests/benchmarks/detection_limits.py about half of the markers are lost when this is covered. The rim of another
+# marker's plate is white, too: it may cover the white.
 RIM_CELLS, CORNER_CELLS = 0.4, 0.3
 # Points looked at along each edge, and across the inside.
 EDGE_POINTS = 7
@@ -51,14 +52,17 @@ def hidden_by(
         asked: (T, M) of which markers it is wanted.
     """
     found = np.full(asked.shape, NOBODY)
-    local = np.stack([_points(mount.size_m, mount.cells) for mount in scene.mounts])
-    reach_m = np.linalg.norm(local, axis=-1).max(axis=-1)
+    bare, rimmed = (
+        np.stack([_points(mount.size_m, mount.cells, rim) for mount in scene.mounts]) for rim in (0.0, RIM_CELLS)
+    )
+    reach_m = np.linalg.norm(rimmed, axis=-1).max(axis=-1)
     for row, obstacle in enumerate(_obstacles(scene)):  # some dozens; each one for all times and markers at once
         T_box_camera = se3.inverse(T_camera_body[obstacle.body] @ obstacle.T_body_box)
         near = asked & (found == NOBODY) & _near(T_box_camera, obstacle.half_m, T_camera_marker[..., :3, 3], reach_m)
-        if obstacle.mount >= 0:
+        if obstacle.mount != NOBODY:
             near[:, obstacle.mount] = False
         t, m = np.nonzero(near)
+        local = rimmed if obstacle.mount == NOBODY else bare
         T_box_marker = T_box_camera[t] @ T_camera_marker[t, m]
         points = local[m] @ np.swapaxes(T_box_marker[:, :3, :3], -1, -2) + T_box_marker[:, None, :3, 3]
         enters, leaves = _crossing(T_box_camera[t, None, :3, 3], points, obstacle.half_m)
@@ -82,11 +86,11 @@ def _obstacles(scene: Scene) -> tuple[_Obstacle, ...]:
     return (*boxes, *plates)
 
 
-def _points(size_m: float, cells: int) -> FloatArray:
-    """(P, 3) points of a marker's square with its rim, in the marker's frame."""
+def _points(size_m: float, cells: int, rim_cells: float) -> FloatArray:
+    """(P, 3) points of a marker's square and, beyond its edges, of its rim, in the marker's frame."""
     end = 0.5 - CORNER_CELLS / cells
     along = np.linspace(-end, end, EDGE_POINTS)
-    rim = np.full(EDGE_POINTS, 0.5 + RIM_CELLS / cells)
+    rim = np.full(EDGE_POINTS, 0.5 + rim_cells / cells)
     edges = [(along, rim), (along, -rim), (rim, along), (-rim, along)]
     inner = np.meshgrid(np.linspace(-end, end, INNER_POINTS + 2), np.linspace(-end, end, INNER_POINTS + 2))
     flat = np.concatenate([np.stack(xy, axis=-1).reshape(-1, 2) for xy in (*edges, inner)])

@@ -69,7 +69,7 @@ def _outlook(forecast: Forecast, j: int) -> JointOutlook:
         whole=(float(q.min()), float(q.max())),
         visible=(float(q[seen].min()), float(q[seen].max())) if seen.any() else None,
         tilt_rad=np.where(seen, tilt, np.nan),
-        oblique_share=float(np.mean(tilt[seen] > OBLIQUE_RAD)) if seen.any() else 0.0,
+        oblique_share=np.count_nonzero(tilt[seen] > OBLIQUE_RAD) / max(np.count_nonzero(seen), 1),
     )
 
 
