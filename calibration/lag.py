@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -15,8 +15,8 @@ FloatArray = NDArray[np.float64]
 Sampler = Callable[[FloatArray], FloatArray]
 """States at any times (s); NaN where there is none."""
 
-# In sample periods. A read-back older or younger than this says nothing about now.
-REACH_SAMPLES = 1.5
+# In median sample periods. Between samples farther apart than this (a pause, a lost bus) nothing is known.
+GAP_SAMPLES = 3.0
 # Common frames below which nothing is estimated.
 MIN_FRAMES = 10
 # As parts of the range that the correlation has over the lags tried: what makes a peak more than noise, and how close
@@ -31,12 +31,18 @@ MAX_COARSE_POINTS = 20_000
 
 @dataclass(frozen=True)
 class Slope:
-    """`y(t) = gain x(t - lag) + a`: least squares with standard deviations; NaN and None where undefined."""
+    """`y(t) = gain x(t - lag) + a`: least squares with standard deviations; NaN and None where undefined.
+
+    Attributes:
+        influence_s: (T,) by how much each frame's residual moves the lag, zero where it isn't used; the lag's error is
+            their sum. None where the standard deviation is.
+    """
 
     lag_s: float
     lag_std_s: float | None
     gain: float
     gain_std: float | None
+    influence_s: FloatArray | None = field(default=None, compare=False, repr=False)
 
 
 # --- References at any time ------------------------------------------------------------------------------------------
@@ -78,19 +84,25 @@ def held_smooth(t_s: FloatArray, values: FloatArray, width_s: float) -> Sampler:
 
 
 def interpolated(t_s: FloatArray, values: FloatArray) -> Sampler:
-    """Linear interpolation between samples; NaN outside them and farther than 1.5 median periods from any sample."""
+    """Linear interpolation between samples; NaN outside them and within gaps (`between_samples`)."""
     rows, kept = known_rows(t_s, values)
     if len(rows) < 2:
         return lambda at_s: np.full(np.shape(at_s), np.nan)
-    reach_s = REACH_SAMPLES * float(np.median(np.diff(rows)))
+    known = between_samples(rows)
+    return lambda at_s: np.where(known(at_s), np.interp(at_s, rows, kept), np.nan)
 
-    def sample(at_s: FloatArray) -> FloatArray:
-        after = np.clip(np.searchsorted(rows, at_s), 1, len(rows) - 1)
-        distance_s = np.minimum(np.abs(at_s - rows[after - 1]), np.abs(at_s - rows[after]))
-        near = (distance_s <= reach_s) & (at_s >= rows[0]) & (at_s <= rows[-1])
-        return np.where(near, np.interp(at_s, rows, kept), np.nan)
 
-    return sample
+def between_samples(t_s: FloatArray) -> Callable[[FloatArray], NDArray[np.bool_]]:
+    """Whether times lie on a sample (T,) or between two that are at most 3 median periods apart, so not in a gap."""
+    longest_s = GAP_SAMPLES * float(np.median(np.diff(t_s)))
+
+    def known(at_s: FloatArray) -> NDArray[np.bool_]:
+        after = np.clip(np.searchsorted(t_s, at_s), 1, len(t_s) - 1)
+        on_sample = (at_s == t_s[after - 1]) | (at_s == t_s[after])
+        inside = (at_s >= t_s[0]) & (at_s <= t_s[-1]) & (t_s[after] - t_s[after - 1] <= longest_s)
+        return on_sample | inside
+
+    return known
 
 
 def known_rows(t_s: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -130,7 +142,12 @@ def estimate_slope(t_s: FloatArray, y: FloatArray, reference: Sampler, *, span_s
     used &= np.isfinite(reference(t_s - lag_s))
     if np.count_nonzero(used) < MIN_FRAMES:
         return Slope(np.nan, None, _gain(y, reference(t_s - lag_s)), None)
-    return _refined_slope(t_s[used], y[used], reference, around, period_s)
+    slope = _refined_slope(t_s[used], y[used], reference, around, period_s)
+    if slope.influence_s is None:
+        return slope
+    influence_s = np.zeros(len(t_s))
+    influence_s[used] = slope.influence_s
+    return replace(slope, influence_s=influence_s)
 
 
 def _refined_slope(
@@ -146,10 +163,11 @@ def _refined_slope(
     rate = (reference(t_s - lag_s + period_s / 2) - reference(t_s - lag_s - period_s / 2)) / period_s
     jacobian = np.stack([-gain * _filled(rate), x - x.mean(), np.ones_like(x)], axis=-1)
     residual = y - y.mean() - gain * (x - x.mean())
-    variance = _sandwich(jacobian, residual)
-    if variance is None:
+    influence = _influence(jacobian, residual)
+    if influence is None:
         return Slope(lag_s, None, gain, None)
-    return Slope(lag_s, float(np.sqrt(variance[0, 0])), gain, float(np.sqrt(variance[1, 1])))
+    variance = score_covariance(influence, ar1(residual))
+    return Slope(lag_s, float(np.sqrt(variance[0, 0])), gain, float(np.sqrt(variance[1, 1])), influence[:, 0])
 
 
 def _coarse_lag(t_s: FloatArray, y: FloatArray, reference: Sampler, lags_s: FloatArray) -> float | None:
@@ -170,17 +188,18 @@ def best_peak(lags_s: FloatArray, agreement: FloatArray) -> float | None:
     return float(as_good[np.argmin(np.abs(as_good))])
 
 
-def _sandwich(jacobian: FloatArray, residual: FloatArray) -> FloatArray | None:
-    """Covariance (P, P) of least squares whose residuals (N,) are correlated; None where J (N, P) lacks rank."""
+def _influence(jacobian: FloatArray, residual: FloatArray) -> FloatArray | None:
+    """(N, P) what each residual (N,) adds to the error of least squares; None where J (N, P) lacks rank.
+
+    The covariance of their sum is the sandwich `B S B`, small samples allowed for by n / (n - p).
+    """
     n, p = jacobian.shape
     scale = np.linalg.norm(jacobian, axis=0)
     if n <= p or np.any(scale <= 0) or np.linalg.cond(jacobian / scale) > 1e8:
         return None
     scores = (jacobian / scale) * residual[:, None]
-    rho = ar1(residual)
-    middle = score_covariance(scores, rho)
     bread = np.asarray(np.linalg.inv((jacobian / scale).T @ (jacobian / scale)), dtype=np.float64)
-    return bread @ middle @ bread * (n / (n - p)) / np.outer(scale, scale)
+    return scores @ bread / scale * np.sqrt(n / (n - p))
 
 
 def ar1(values: FloatArray) -> float:
@@ -263,3 +282,19 @@ def combined_lag(slopes: Iterable[Lagged]) -> tuple[float, float] | None:
     mean_s = float(np.sum(weight * lags_s) / np.sum(weight))
     birge = float(np.sum(weight * (lags_s - mean_s) ** 2)) / max(len(known) - 1, 1)
     return mean_s, float(np.sqrt(max(birge, 1.0) / np.sum(weight)))
+
+
+def shared_lag(slopes: Sequence[Slope]) -> tuple[float, float] | None:
+    """The one lag of several joints seen in the same frames and its standard deviation [s]; None where none tells it.
+
+    As `combined_lag`, and no surer than the frames allow: jitter of a frame's stamp moves all joints together, so that
+    what a frame does to the mean is added up over the joints before its variance is taken.
+    """
+    combined = combined_lag(slopes)
+    told = [(slope.lag_std_s**-2, slope.influence_s) for slope in slopes if slope.lag_std_s and slope.lag_std_s > 0]
+    pooled = [weight * influence for weight, influence in told if influence is not None]
+    if combined is None or not pooled:
+        return combined
+    series: FloatArray = np.sum(pooled, axis=0) / sum(weight for weight, _ in told)
+    together = float(score_covariance(series[:, None], ar1(series))[0, 0])
+    return combined[0], max(combined[1], float(np.sqrt(together)))

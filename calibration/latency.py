@@ -20,11 +20,11 @@ from scipy.optimize import minimize_scalar
 from calibration.errors import CalibrationError
 from calibration.lag import (
     MIN_FRAMES,
-    REACH_SAMPLES,
     FloatArray,
     Sampler,
     ar1,
     best_peak,
+    between_samples,
     combined_lag,
     grid,
     known_rows,
@@ -218,15 +218,10 @@ def smoothed(t_s: FloatArray, values: FloatArray) -> tuple[Sampler, Sampler]:
     centres = (knots[1:-3] + knots[2:-2] + knots[3:-1]) / 3
     spline = BSpline(knots, np.interp(centres, t_s, values), 3)
     slope = spline.derivative()
-    reach_s = REACH_SAMPLES * float(np.median(np.diff(t_s)))
-
-    def near(at_s: FloatArray) -> Mask:
-        after = np.clip(np.searchsorted(t_s, at_s), 1, len(t_s) - 1)
-        distance_s = np.minimum(np.abs(at_s - t_s[after - 1]), np.abs(at_s - t_s[after]))
-        return (distance_s <= reach_s) & (at_s >= t_s[0]) & (at_s <= t_s[-1])
+    known = between_samples(t_s)
 
     def sampler(function: Callable[[FloatArray], Any]) -> Sampler:
-        return lambda at_s: np.where(near(at_s), function(np.clip(at_s, t_s[0], t_s[-1])), np.nan)
+        return lambda at_s: np.where(known(at_s), function(np.clip(at_s, t_s[0], t_s[-1])), np.nan)
 
     return sampler(spline), sampler(slope)
 

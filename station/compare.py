@@ -4,29 +4,32 @@ Three logs meet here, SI inside (rad, m, s):
 
 - detected: fitted joints at camera frames; sign and zero are the fit's own, NaN where a joint was not seen;
 - commanded: a row a command; each value holds until the next (zero-order hold, unknown before the first);
-- measured: the servos' read-back, interpolated linearly between neighbouring samples.
+- measured: the servos' read-back, interpolated linearly between its own stamps, never across a gap.
 
-A fitted joint becomes a commanded one by `joint = sign * fitted + offset`, sign in {+1, -1}; that and nothing else is
-done before the errors are taken. Lag and gain are estimated and reported, never applied, save for the one lag between
-two clocks (`same_clock=False`). One offset serves a joint: the one against the read-back where there is any, else
-against the command, so the errors are those of the columns of comparison.csv.
+A fitted joint becomes a commanded one by `joint = sign * fitted + offset`, sign in {+1, -1}, and one lag serves the
+whole session: a frame stamped t shows the arm as it was at t - lag, so that is when commands and read-back are looked
+up. On one clock it is the camera's lag behind the read-back, from all joints together, applied where it is sure
+(`station.session_lag`); on two clocks it is the difference between them. Each joint's own lag and its gain are
+estimated in the stamps as given and reported, never applied. One offset serves a joint: the one against the read-back
+where there is any, else against the command, so the errors are those of the columns of comparison.csv; what the errors
+would be without the lag is reported beside them.
 """
 
 from __future__ import annotations
 
 import sys
 from collections.abc import Mapping
-from dataclasses import dataclass
-from functools import partial
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calibration.lag import Sampler, estimate_slope, period
+from calibration.lag import Sampler, Slope, estimate_slope, period
 from station.callable_module import CallableModule
 from station.errors import InvalidData
 from station.kinematics.joints import JOINT_TYPES
 from station.logs import FloatArray, JointLog, frozen_floats
 from station.pairing import MEASURED_LAG_SPAN_S, Pair, estimate_clock_lag, match_joints, moved, references_of
+from station.session_lag import UNKNOWN, SessionLag, estimate_session_lag, readback_slopes
 
 UNIT_SCALE = {"rad": 180.0 / np.pi, "m": 1e3}
 UNIT_NAME = {"rad": "deg", "m": "mm"}
@@ -44,16 +47,20 @@ class Agreement:
     """How well a detected joint agrees with one reference (its command or its read-back).
 
     Attributes:
-        lag_s: by how much the detected state trails the reference [s], in the stamps as given; NaN if undefined.
+        lag_s: by how much the detected state trails the reference [s], in the stamps as given, none applied yet; NaN if
+            undefined.
         lag_std_s: its standard deviation [s], correlated residuals accounted for; None if undefined. Against step
             commands it is mostly how differently long the steps take: one lag is not the whole story there.
         gain: slope b of `detected(t) = b reference(t - lag) + a` by ordinary least squares; NaN if undefined.
         offset: `joint = sign * fitted + offset`, rad or m.
-        rmse: root mean square of detected - reference [rad or m], after sign and offset only; so are the next two.
+        rmse: root mean square of detected - reference [rad or m], after sign, offset and the session's lag; so are the
+            next two.
         mae: mean absolute error.
         max: greatest absolute error.
         frames: number of frames with both.
         gain_std: standard deviation of the gain; None if undefined.
+        rmse_before_lag: the same as `rmse` without the session's lag, with the offset that is best without it; NaN
+            where no frame has both.
     """
 
     lag_s: float
@@ -65,6 +72,7 @@ class Agreement:
     max: float
     frames: int
     gain_std: float | None = None
+    rmse_before_lag: float = np.nan
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,9 +85,9 @@ class JointComparison:
         type: of the fitted joint, "revolute", "prismatic", ...
         unit: "rad" or "m", of all the states here.
         sign: +1 or -1, `joint = sign * fitted + offset`.
-        t_s: (T,) the frames' stamps.
-        commanded: (T,) NaN where unknown.
-        measured: (T,) NaN where unknown.
+        t_s: (T,) the frames' stamps as given.
+        commanded: (T,) at t_s less the applied lag; NaN where unknown.
+        measured: (T,) at t_s less the applied lag; NaN where unknown.
         detected: (T,) in the joint's own sign and zero; NaN where not seen.
         detected_std: (T,) NaN where unknown.
         against_commanded: None without commands in common.
@@ -115,6 +123,7 @@ class Comparison:
         clock_lag_s: the lag applied to commands and read-back because they have another clock [s]; None on one clock.
         clock_lag_std_s: its standard deviation [s].
         at_rest: names of joints that were neither told to move nor moved (a gripper left alone): nothing is amiss.
+        lag: the one lag of the session, and whether it was applied; that between the clocks where there are two.
     """
 
     joints: tuple[JointComparison, ...]
@@ -123,6 +132,7 @@ class Comparison:
     clock_lag_s: float | None = None
     clock_lag_std_s: float | None = None
     at_rest: tuple[str, ...] = ()
+    lag: SessionLag = UNKNOWN
 
 
 def compare(
@@ -137,7 +147,8 @@ def compare(
 
     Fitted joints are paired with commanded ones of the same unit, one to one, by the sum of their agreement after sign
     and offset (`station.pairing`), against the read-back where there is any. Offset by least squares, against commands
-    alone over the frames where the servo had arrived. Errors are after sign and offset only; never after gain.
+    alone over the frames where the servo had arrived. Errors are after sign, offset and the session's one lag where it
+    is sure; never after gain.
 
     Args:
         detected: fitted joints at T frames [rad or m], NaN where not seen; std optional. A fit's `states`.
@@ -164,17 +175,19 @@ def compare(
     usable = [reference for reference in references if reference.span_s[1] > reference.span_s[0]]
     told = _with_one_state(detected, types)
     clock = None if same_clock or not usable or not told.joints else estimate_clock_lag(told, usable)
-    lag_s = 0.0 if clock is None else clock[0]
-    pairs = match_joints(told, [reference.delayed(lag_s) for reference in references])
+    clock_lag_s = 0.0 if clock is None else clock[0]
+    pairs = match_joints(told, [reference.delayed(clock_lag_s) for reference in references])
+    lag = estimate_session_lag(readback_slopes(detected, pairs)) if clock is None else SessionLag(*clock)
     fitted, followed = {pair.fitted for pair in pairs}, {pair.reference.name for pair in pairs}
     unfollowed = [reference for reference in references if reference.name not in followed]
     at_rest = tuple(reference.name for reference in unfollowed if not moved(reference, commanded, measured))
     return Comparison(
-        tuple(_joint_comparison(pair, detected, types[pair.fitted], lag_s) for pair in pairs),
+        tuple(_joint_comparison(pair, detected, types[pair.fitted], lag, clock_lag_s) for pair in pairs),
         tuple(name for name in detected.joints if name not in fitted),
         tuple(reference.name for reference in unfollowed if reference.name not in at_rest),
         *(clock or (None, None)),
         at_rest=at_rest,
+        lag=lag,
     )
 
 
@@ -194,31 +207,41 @@ def _check_kinds(**logs: object) -> None:
             raise InvalidData(f"compare wants a JointLog for '{name}'; have a {have}; a fit's is its `states`")
 
 
-def _joint_comparison(pair: Pair, detected: JointLog, type_name: str, clock_lag_s: float) -> JointComparison:
-    """`pair.reference` is on the detection's clock already, delayed by `clock_lag_s`."""
-    t_s, reference = detected.t_s, pair.reference
+def _joint_comparison(
+    pair: Pair, detected: JointLog, type_name: str, lag: SessionLag, clock_lag_s: float
+) -> JointComparison:
+    """`pair.reference` is on the detection's clock already, delayed by `clock_lag_s`; the camera's lag is not in it."""
+    t_s, given = detected.t_s, pair.reference
+    reference = given.delayed(lag.applied_s - clock_lag_s)
     signed = pair.sign * detected.state(pair.fitted)
-    offset = _offset(reference.primary(t_s) - signed, has_readback=bool(np.any(np.isfinite(reference.measured(t_s)))))
-    state = signed + offset
+    offset, offset_before = (_offset(each.primary(t_s) - signed, each.has_readback) for each in (reference, given))
     std = np.full(len(t_s), np.nan) if detected.std is None else detected.std[:, detected.joints.index(pair.fitted)]
-    against = partial(_against, t_s, state, offset=offset, clock_lag_s=clock_lag_s)
+
+    def against(sampler: Sampler, before: Sampler, smooth: Sampler, span_s: float) -> Agreement | None:
+        slope = estimate_slope(t_s, signed, smooth, span_s=span_s)
+        shifted = replace(slope, lag_s=slope.lag_s + clock_lag_s)
+        rmse_before = _rms(signed + offset_before - before(t_s))
+        return _agreement(signed + offset - sampler(t_s), shifted, offset, rmse_before)
+
     return JointComparison(
-        joint=reference.name,
+        joint=given.name,
         fitted_joint=pair.fitted,
         type=type_name,
-        unit=reference.unit,
+        unit=given.unit,
         sign=pair.sign,
         t_s=t_s,
         commanded=reference.commanded(t_s),
         measured=reference.measured(t_s),
-        detected=state,
+        detected=signed + offset,
         detected_std=std,
-        against_commanded=against(reference.commanded, reference.commanded_smooth, span_s=COMMANDED_LAG_SPAN_S),
-        against_measured=against(reference.measured, reference.measured, span_s=MEASURED_LAG_SPAN_S),
+        against_commanded=against(
+            reference.commanded, given.commanded, given.commanded_smooth, span_s=COMMANDED_LAG_SPAN_S
+        ),
+        against_measured=against(reference.measured, given.measured, given.measured, span_s=MEASURED_LAG_SPAN_S),
     )
 
 
-def _offset(difference: FloatArray, *, has_readback: bool) -> float:
+def _offset(difference: FloatArray, has_readback: bool) -> float:
     """Least squares; against commands alone over the frames where the servo had arrived, not over its ramps.
 
     Those are the ones within `ARRIVED_SIGMAS` robust standard deviations (1.4826 MAD) of the median.
@@ -230,32 +253,28 @@ def _offset(difference: FloatArray, *, has_readback: bool) -> float:
     return float(np.mean(known[apart <= ARRIVED_SIGMAS * 1.4826 * np.median(apart)]))
 
 
-def _against(
-    t_s: FloatArray,
-    state: FloatArray,
-    sampler: Sampler,
-    smooth: Sampler,
-    *,
-    offset: float,
-    clock_lag_s: float,
-    span_s: float,
-) -> Agreement | None:
-    error = state - sampler(t_s)
-    error = error[np.isfinite(error)]
-    if not len(error):
+def _agreement(error: FloatArray, slope: Slope, offset: float, rmse_before_lag: float) -> Agreement | None:
+    """From the errors (T,), NaN where one of both is unknown; None where no frame has both."""
+    known = error[np.isfinite(error)]
+    if not len(known):
         return None
-    slope = estimate_slope(t_s, state, smooth, span_s=span_s)
     return Agreement(
-        lag_s=slope.lag_s + clock_lag_s,
+        lag_s=slope.lag_s,
         lag_std_s=slope.lag_std_s,
         gain=slope.gain,
         gain_std=slope.gain_std,
         offset=offset,
-        rmse=float(np.sqrt(np.mean(error**2))),
-        mae=float(np.mean(np.abs(error))),
-        max=float(np.max(np.abs(error))),
-        frames=len(error),
+        rmse=_rms(known),
+        mae=float(np.mean(np.abs(known))),
+        max=float(np.max(np.abs(known))),
+        frames=len(known),
+        rmse_before_lag=rmse_before_lag,
     )
+
+
+def _rms(error: FloatArray) -> float:
+    known = error[np.isfinite(error)]
+    return float(np.sqrt(np.mean(known**2))) if len(known) else np.nan
 
 
 sys.modules[__name__].__class__ = CallableModule

@@ -41,7 +41,8 @@ def comparison_json(comparison: Comparison) -> str:
     """The numbers of each joint, `"schema": "comparison/1"`; strict JSON: null where undefined.
 
     Lags in seconds; offset, rmse, mae and max carry their unit in their name (`_deg`, `_mm`). A section is null where
-    there is no such reference.
+    there is no such reference. A joint's `lag_s` is its own, before any is applied; its errors are after sign, offset
+    and `lag.applied_s`, the one lag of the session. `lag.rmse_before` tells them without it, in the joint's unit.
     """
     joints = [
         {
@@ -55,7 +56,27 @@ def comparison_json(comparison: Comparison) -> str:
         }
         for joint in comparison.joints
     ]
-    return json.dumps({"schema": SCHEMA, "joints": joints}, indent=2, allow_nan=False) + "\n"
+    return json.dumps({"schema": SCHEMA, "joints": joints, "lag": _lag(comparison)}, indent=2, allow_nan=False) + "\n"
+
+
+def _lag(comparison: Comparison) -> dict[str, object]:
+    lag, two_clocks = comparison.lag, comparison.clock_lag_s is not None
+    return {
+        "between": "clocks" if two_clocks else "camera and read-back",
+        "lag_s": lag.lag_s,
+        "std_s": lag.std_s,
+        "applied_s": lag.applied_s,
+        "why_not_applied": lag.why_not or None,
+        "rmse_before": None if two_clocks else {joint.joint: _before(joint) for joint in comparison.joints},
+    }
+
+
+def _before(joint: JointComparison) -> dict[str, float | None]:
+    agreements = {"commanded": joint.against_commanded, "measured": joint.against_measured}
+    return {
+        name: None if agreement is None else _or_none(UNIT_SCALE[joint.unit] * agreement.rmse_before_lag)
+        for name, agreement in agreements.items()
+    }
 
 
 def _section(agreement: Agreement | None, unit: str) -> dict[str, float | int | None] | None:

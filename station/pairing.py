@@ -49,6 +49,7 @@ class Reference:
     measured: Sampler
     primary: Sampler
     span_s: tuple[float, float]
+    has_readback: bool
 
     def delayed(self, lag_s: float) -> Reference:
         """The same, later."""
@@ -58,7 +59,8 @@ class Reference:
 
         start_s, end_s = self.span_s
         samplers = map(later, (self.commanded, self.commanded_smooth, self.measured, self.primary))
-        return Reference(self.name, self.unit, *samplers, span_s=(start_s + lag_s, end_s + lag_s))
+        span_s = (start_s + lag_s, end_s + lag_s)
+        return Reference(self.name, self.unit, *samplers, span_s=span_s, has_readback=self.has_readback)
 
 
 @dataclass(frozen=True)
@@ -87,11 +89,13 @@ def _reference(name: str, commanded: JointLog | None, measured: JointLog | None,
             f"joint '{name}' is commanded in one unit and read back in another: {', '.join(sorted(units))}"
         )
     command, readback = column(commanded), column(measured)
-    primary = readback if len(readback[0]) > 1 else command
+    has_readback = len(readback[0]) > 1
+    primary = readback if has_readback else command
     hold_s = float(np.median(np.diff(primary[0]))) if len(primary[0]) > 1 else 0.0
     span_s = (float(primary[0][0]), float(primary[0][-1]) + hold_s) if len(primary[0]) else (0.0, 0.0)
     samplers = (held(*command), held_smooth(*command, SMOOTHING_FRAMES * period_s), interpolated(*readback))
-    return Reference(name, units.pop(), *samplers, samplers[2] if primary is readback else samplers[0], span_s)
+    first = samplers[2] if has_readback else samplers[0]
+    return Reference(name, units.pop(), *samplers, primary=first, span_s=span_s, has_readback=has_readback)
 
 
 def _agreement(y: FloatArray, x: FloatArray, unit: str) -> tuple[float, int]:

@@ -35,6 +35,8 @@ from station.stage import Stage
 VIRTUAL_REPLY_TIMEOUT_S = 10.0
 # Where replies are kept away on purpose, so generous a wait for each would be a long one.
 FAULTY_REPLY_TIMEOUT_S = 0.5
+# On the real clock an emulated bus answers from a thread that a busy machine lets wait for as long as any other.
+BUSY_REPLY_TIMEOUT_S = 0.5
 
 
 @dataclass(frozen=True)
@@ -102,7 +104,7 @@ def open_rig(
     with ExitStack() as stack:
         bus = EmulatedArm(table, simulation, clock, seed=seed) if emulated and simulation is not None else None
         port = table.bus.port if bus is None else stack.enter_context(bus).path
-        timeout_s = virtual_reply_timeout_s(simulation) if virtual else None
+        timeout_s = _reply_timeout_s(simulation, emulated=emulated, virtual=virtual)
         client = DynamixelBus(
             port, baud=table.bus.baud, protocol=table.bus.protocol, clock=clock, reply_timeout_s=timeout_s
         )
@@ -146,6 +148,14 @@ def _arm_on(bus: DynamixelBus, table: RigTable, clock: Clock) -> Arm:
         disagreement_rad=float(np.radians(table.safety.disagreement_deg)),
         limits=safety_limits(table),
     )
+
+
+def _reply_timeout_s(simulation: SimulationTable | None, *, emulated: bool, virtual: bool) -> float | None:
+    """How long, in real time, a reply is waited for; None: as long as real servos need."""
+    if virtual:
+        return virtual_reply_timeout_s(simulation)
+    faulty = simulation is None or simulation.faults
+    return BUSY_REPLY_TIMEOUT_S if emulated and not faulty else None
 
 
 def virtual_reply_timeout_s(simulation: SimulationTable | None) -> float:

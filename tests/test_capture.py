@@ -109,6 +109,10 @@ class Writer:
 
     def log_reading(self, *stamps_and_states: object) -> None: ...
 
+    def log_servos(self, t_ns: int, states: object) -> None: ...
+
+    def checkpoint(self, leg: int, legs: int, counts: object) -> None: ...
+
     def log_frame(self, *args: object, **kwargs: object) -> None:
         self.frame_threads.add(threading.current_thread().name)
 

@@ -13,6 +13,7 @@ from station.compare import Comparison, JointComparison, compare
 from station.comparison_files import comparison_csv, comparison_json
 from station.errors import InvalidData
 from station.logs import FloatArray, JointLog
+from station.session_lag import estimate_session_lag
 
 DURATION_S = 24.0
 FPS = 30.0
@@ -79,11 +80,25 @@ def test_the_smoothed_hold_is_its_mean_under_a_triangle():
     np.testing.assert_allclose(held_smooth(times, values, width_s)(at_s), mean, atol=2e-3)
 
 
-def test_readback_is_not_used_farther_than_one_and_a_half_samples_away():
-    times = np.array([0.0, 1.0, 2.0, 3.0, 8.0, 9.0])
+def test_readback_is_never_interpolated_across_a_gap():
+    """A pause, a lost bus: more than three samples without one. A lost sample or two are bridged."""
+    times = np.array([0.0, 1.0, 2.0, 3.0, 5.5, 6.5, 10.0, 11.0])
     sampler = interpolated(times, 10 * times)
-    np.testing.assert_allclose(sampler(np.array([0.5, 2.9, 4.4, 6.6, 8.5])), [5.0, 29.0, 44.0, 66.0, 85.0])
-    assert np.all(np.isnan(sampler(np.array([-0.1, 4.6, 6.4, 9.1]))))
+    np.testing.assert_allclose(sampler(np.array([0.5, 2.9, 4.0, 6.5, 10.0, 10.5])), [5, 29, 40, 65, 100, 105])
+    assert np.all(np.isnan(sampler(np.array([-0.1, 6.51, 8.0, 9.99, 11.1]))))
+
+
+def test_frames_within_a_gap_of_the_read_back_are_not_compared():
+    """The arm moves on during a pause of 4 s: a line across the gap would be off by degrees."""
+    log, detected = readback(), detection(np.random.default_rng(21), lag_s=0.0)
+    paused = (log.t_s > 3.2) & (log.t_s < 7.2)
+    kept = JointLog(log.t_s[~paused], log.joints, log.q[~paused], log.units)
+    whole, gapped = compare(detected, None, log), compare(detected, None, kept)
+    for one, other in zip(whole.joints, gapped.joints, strict=True):
+        inside = (one.t_s > 3.2) & (one.t_s < 7.2 - 0.02)
+        assert np.all(np.isnan(other.measured[inside])) and np.all(np.isfinite(one.measured[inside]))
+        assert other.against_measured is not None and one.against_measured is not None
+        assert other.against_measured.max <= one.against_measured.max + np.radians(0.05)
 
 
 def test_sign_zero_lag_and_gain_of_known_truth_are_recovered():
@@ -272,6 +287,86 @@ def test_unrelated_motion_on_two_clocks_matches_nothing():
     assert comparison.joints == () and comparison.clock_lag_s is None
 
 
+def test_one_lag_from_all_joints_is_applied_and_both_errors_are_told():
+    detected = detection(np.random.default_rng(22), gains=(1.0, 1.0))
+    comparison = compare(detected, commands(), readback())
+    lag = comparison.lag
+    assert lag.std_s is not None and lag.std_s < 0.001 and lag.why_not == ""
+    assert lag.applied_s == lag.lag_s == pytest.approx(LAG_S, abs=4 * lag.std_s)
+    data = json.loads(comparison_json(comparison))
+    assert data["lag"]["applied_s"] == lag.applied_s and data["lag"]["std_s"] == lag.std_s
+    for joint, told in zip(comparison.joints, data["joints"], strict=True):
+        measured = joint.against_measured
+        assert measured is not None
+        assert measured.rmse == pytest.approx(NOISE_RAD, rel=0.1), "with the lag applied, noise is left"
+        at_stamps = interpolated(readback().t_s, readback().state(joint.joint))(joint.t_s)
+        late = np.nanstd(joint.detected - at_stamps)
+        assert measured.rmse_before_lag == pytest.approx(late, rel=1e-6) and late > 1.5 * NOISE_RAD
+        assert told["measured"]["lag_s"] == measured.lag_s == pytest.approx(LAG_S, abs=0.002), (
+            "as given, not what is left"
+        )
+        assert told["measured"]["rmse_deg"] == pytest.approx(np.degrees(measured.rmse))
+        assert data["lag"]["rmse_before"][joint.joint]["measured"] == pytest.approx(np.degrees(late))
+
+
+def test_with_the_lag_applied_the_references_are_those_of_when_the_light_fell():
+    detected = detection(np.random.default_rng(23), gains=(1.0, 1.0))
+    comparison = compare(detected, commands(), readback())
+    pan, applied_s = joint_named(comparison, "pan"), comparison.lag.applied_s
+    np.testing.assert_array_equal(pan.t_s, detected.t_s)
+    np.testing.assert_allclose(pan.measured, TRUE[0](pan.t_s - applied_s), atol=1e-4)  # a corner between two samples
+    first = held(COMMAND_TIMES_S, COMMANDS_RAD[:, 0])
+    np.testing.assert_array_equal(pan.commanded, first(pan.t_s - applied_s))
+
+
+@pytest.mark.parametrize("jitter_s", [0.0, 0.003])
+def test_the_stated_deviation_of_the_sessions_lag_covers_the_truth(jitter_s):
+    """Coarse counts of 0.29 deg, and stamps that jitter: which moves all joints of a frame together."""
+    rng, z = np.random.default_rng(24), []
+    count = np.radians(0.29)
+    for _ in range(100):
+        true_s, phase_s = rng.uniform(0.01, 0.06), rng.uniform(0.0, 0.02)
+        read_s = np.arange(phase_s, DURATION_S, 0.02)
+        t_s = np.arange(0.2 + rng.uniform(0.0, 0.03), DURATION_S, 1 / FPS)
+        lit_s = t_s - true_s + jitter_s * rng.normal(size=len(t_s))
+        together = [TRUE[0], lambda at_s: 0.7 * TRUE[0](at_s), lambda at_s: -0.5 * TRUE[0](at_s)]
+        slopes = [
+            estimate_slope(
+                t_s,
+                true(lit_s) + 0.3 * count * rng.normal(size=len(t_s)),
+                interpolated(read_s, count * np.round(true(read_s) / count)),
+                span_s=0.2,
+            )
+            for true in together
+        ]
+        lag = estimate_session_lag(slopes)
+        assert lag.lag_s is not None and lag.std_s is not None
+        z.append((lag.lag_s - true_s) / lag.std_s)
+    # 95 % nominal; 100 trials scatter by 2 %.
+    assert np.mean(np.abs(z) < 1.96) > 0.88
+    assert np.std(z) > 0.6, "the standard deviation is far too wide"
+
+
+@pytest.mark.parametrize(
+    ("lag_s", "std_s", "why"),
+    [(0.05, 0.006, "standard deviation is 6 ms"), (0.003, 0.002, "can't be told from none"), (0.03, 0.001, "")],
+)
+def test_a_lag_that_is_not_sure_is_told_and_not_applied(lag_s, std_s, why):
+    lag = estimate_session_lag([Slope(lag_s, std_s, 1.0, None)])
+    assert lag.lag_s == pytest.approx(lag_s) and lag.std_s == pytest.approx(std_s)
+    assert why in lag.why_not and bool(lag.why_not) == bool(why)
+    assert lag.applied_s == (0.0 if why else pytest.approx(lag_s))
+
+
+def test_without_a_read_back_or_without_motion_no_lag_is_applied():
+    alone = compare(detection(np.random.default_rng(25)), commands())
+    assert alone.lag.lag_s is None and alone.lag.applied_s == 0.0 and "no read-back" in alone.lag.why_not
+    undefined = estimate_session_lag([Slope(np.nan, None, np.nan, None)])
+    assert undefined.applied_s == 0.0 and "no joint moved enough" in undefined.why_not
+    data = json.loads(comparison_json(alone))
+    assert data["lag"]["applied_s"] == 0.0 and data["lag"]["lag_s"] is None and data["lag"]["why_not_applied"]
+
+
 def test_combined_lag_is_the_weighted_mean_and_wider_where_joints_disagree():
     def slopes(*lags_s: float):
         return [Slope(lag_s, std_s, 1.0, None) for lag_s, std_s in zip(lags_s, (0.001, 0.002, 0.002), strict=False)]
@@ -313,7 +408,7 @@ def test_the_json_has_the_fields_of_the_design_in_degrees_and_no_nan():
 
     comparison = compare(detection(np.random.default_rng(16)), None, readback())
     data = json.loads(comparison_json(comparison), parse_constant=refuse)
-    assert data["schema"] == "comparison/1" and set(data) == {"schema", "joints"}
+    assert data["schema"] == "comparison/1" and set(data) == {"schema", "joints", "lag"}
     pan = data["joints"][0]
     assert list(pan) == ["joint", "fitted_joint", "type", "unit", "sign", "commanded", "measured"]
     assert pan["unit"] == "deg" and pan["sign"] == -1 and pan["commanded"] is None

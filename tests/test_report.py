@@ -18,9 +18,10 @@ from rich.text import Text
 
 from station.compare import Comparison, JointComparison, compare
 from station.comparison_files import write_files
+from station.fit.result import Fit
 from station.kinematics.tree import Joint, KinematicTree
 from station.logs import JointLog
-from station.report import figure7, save_figure, summary_rows, tree_figure, tree_rows, write_report
+from station.report import Material, Timing, figure7, save_figure, summary_rows, tree_figure, tree_rows, write_report
 from station.report.drawings import COLUMN_PT, TOLERANCE_PT, compact, svg
 from station.report.style import DARK, LIGHT
 
@@ -241,8 +242,17 @@ def test_the_same_data_makes_the_same_bytes_whatever_a_persons_matplotlibrc_says
     ElementTree.parse(tmp_path / "a.svg")
 
 
-FACTS = {"session": "demo", "frames": "360", "frames dropped": "0", "seed": "0"}
+FACTS = {"state": "complete", "rig": "demo", "seed": "0"}
 WARNING = "the camera trails the servos by 37.0 ms: set latency_s in [camera] <script>alert(1)</script>"
+
+
+def timing(frames: int, lost: tuple[int, ...] = ()) -> Timing:
+    """Frames at 30 a second and readings at 50, with jitter; some frames are lost."""
+    rng = np.random.default_rng(3)
+    index = np.delete(np.arange(frames), lost)
+    read_s = np.arange(0.0, frames / 30, 0.02) + rng.uniform(0, 0.002, -(-frames * 50 // 30))
+    frame_s = index / 30 + rng.uniform(0, 0.004, len(index))
+    return Timing(frame_s, index, read_s, read_s + rng.uniform(0.003, 0.006, len(read_s)), latency_s=0.016, fps=30.0)
 
 
 @pytest.fixture(scope="module")
@@ -250,7 +260,17 @@ def report_folder(tmp_path_factory):
     folder = tmp_path_factory.mktemp("session") / "report"
     comparison = replace(compared(count=2), unmatched_commanded=("gripper",))
     detected, _, _ = logs()
-    write_report(folder, comparison, arm(), detected, FACTS, viewing(comparison), (WARNING,))
+    material = Material(
+        "demo",
+        FACTS,
+        Fit(arm(), detected),
+        comparison,
+        viewing(comparison),
+        warnings=(WARNING,),
+        counts={"frames": 360, "dropped_frames": 0},
+        timing=timing(360),
+    )
+    write_report(folder, material)
     return folder
 
 
@@ -265,20 +285,34 @@ def test_the_html_needs_no_other_file_and_runs_nothing(report_folder):
     page = (report_folder / "report.html").read_text()
     references = re.findall(r"(?:src|href)=\"([^\"]*)|url\(([^)]*)", page)
     assert references and all("".join(reference).startswith("#") for reference in references)
-    assert "@import" not in page and "<script" not in page
+    assert "@import" not in page and "<script" not in page and "default-src 'none'" in page
 
 
 def test_the_drawings_in_the_html_share_no_id_and_refer_to_their_own(report_folder):
     page = (report_folder / "report.html").read_text()
     ids = re.findall(r' id="([^"]+)"', page)
-    assert len(set(ids)) == len(ids) and all(name.startswith(("figure7-", "tree-")) for name in ids)
-    assert set(re.findall(r'(?:href="|url\()#([^")]+)', page)) == set(ids)
+    assert len(set(ids)) == len(ids)
+    for drawing in re.findall(r"<svg.*?</svg>", page, re.DOTALL):
+        own = set(re.findall(r' id="([^"]+)"', drawing))
+        assert len({name.split("-")[0] for name in own}) == 1
+        assert set(re.findall(r'(?:href="|url\()#([^")]+)', drawing)) == own
+
+
+def test_every_section_has_a_heading_and_is_reached_from_the_top(report_folder):
+    page = (report_folder / "report.html").read_text()
+    named = re.findall(r'<section id="(\w+)" aria-labelledby="\1-title">\s*<h2 id="\1-title">[^<]+</h2>', page)
+    assert named == ["summary", "joints", "errors", "tree", "fit", "timing"]
+    assert re.findall(r'<a href="#(\w+)">', page) == named
+    assert page.count("<h1>") == 1 and page.count("<h2") == len(named)
+    assert re.findall(r"<svg", page) and page.count("<svg") == len(
+        re.findall(r'role="img" aria-label="[^"]{20,}"', page)
+    )
 
 
 def test_every_colour_of_a_drawing_turns_dark_with_the_page(report_folder):
     page = (report_folder / "report.html").read_text()
     drawings = re.findall(r"<svg.*?</svg>", page, re.DOTALL)
-    assert len(drawings) == 2 and not any(re.search(r"#[0-9a-f]{6}\b", drawing) for drawing in drawings)
+    assert len(drawings) == 5 and not any(re.search(r"#[0-9a-f]{6}\b", drawing) for drawing in drawings)
     for role in set(re.findall(r"var\(--(\w+)\)", "".join(drawings))):
         assert f"--{role}: {getattr(LIGHT, role)};" in page and f"--{role}: {getattr(DARK, role)};" in page
     assert "@media screen and (prefers-color-scheme: dark)" in page and "@media print" in page
@@ -305,17 +339,17 @@ def test_no_text_of_a_drawing_reaches_the_html():
 
 def test_without_commands_the_report_is_the_tree_alone(tmp_path):
     detected, _, _ = logs()
-    write_report(tmp_path, None, arm(), detected, {}, None, ())
+    write_report(tmp_path, Material("door", fit=Fit(arm(), detected)))
     assert [path.name for path in tmp_path.iterdir()] == ["report.html"]
     assert "commanded, read-back" not in (tmp_path / "report.html").read_text().lower()
 
 
 def test_a_report_in_which_nothing_follows_a_command_says_so(tmp_path):
     detected, _, _ = logs()
-    write_report(tmp_path, Comparison((), unmatched_commanded=("elbow",)), arm(), detected, {}, None, ())
+    write_report(tmp_path, Material("s", {}, Fit(arm(), detected), Comparison((), unmatched_commanded=("elbow",))))
     page = (tmp_path / "report.html").read_text()
     assert "No detected joint follows a command" in page and "elbow: no detected joint follows it" in page
-    assert page.count("<svg") == 1
+    assert page.count("<svg") == 2 and '<h2 id="errors' not in page
 
 
 def test_a_failed_write_leaves_what_was_there(tmp_path):

@@ -58,6 +58,10 @@ class Events:
 
     def log_reading(self, *stamps_and_states: object) -> None: ...
 
+    def log_servos(self, t_ns: int, states: object) -> None: ...
+
+    def checkpoint(self, leg: int, legs: int, counts: object) -> None: ...
+
     def log_event(self, t_ns: int, level: str, text: str) -> None:
         self.events.append(f"{level} {text}")
         self.t_s.append(t_ns * 1e-9)

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
-import json
-
+from drivers.errors import BusLost, NoReply
+from station.capture.control import Control, StopAsked
 from station.capture.counts import CaptureCounts
-from station.capture.frame_worker import FrameWorker
-from station.capture.service import NS_PER_S, SERVO_RATE_HZ, Progress
-from station.recording import RecordingWriter
+from station.capture.crew import NS_PER_S, SERVO_RATE_HZ, Crew
+from station.capture.ending import end
+from station.capture.live_view import LiveView
+from station.capture.pausing import heed
+from station.capture.recorder import SessionWriter
+from station.capture.servo_loop import RECONNECT_EVERY_S, Progress
+from station.capture.snapshot import Watcher
+from station.capture.states import State
 from station.releasing import Ask, release
 from station.rig import Rig
 
@@ -27,22 +32,30 @@ def take_in_hand(rig: Rig, ask: Ask) -> None:
 class HandCapture:
     """One capture by hand: from a rig whose arm is limp to a closed recording. Nothing is written to a servo.
 
+    It has the same threads, states and wishes as a planned one. While the bus is away frames are recorded on, while the
+    camera is away readings are.
+
     Args:
-        duration_s: how long to record; until a KeyboardInterrupt if None, which is a normal end in either case.
+        duration_s: how long to record; until a stop or a KeyboardInterrupt if None: those are normal ends.
+        progress, control, watch, live: as of a planned capture.
     """
 
     def __init__(
         self,
         rig: Rig,
-        writer: RecordingWriter,
+        writer: SessionWriter,
         *,
         duration_s: float | None = None,
         progress: Progress | None = None,
+        control: Control | None = None,
+        watch: Watcher | None = None,
+        live: LiveView | None = None,
     ) -> None:
         self._rig, self._writer = rig, writer
         self._duration_s, self._progress = duration_s, progress
-        self._readings = self._dropped_before = 0
-        self._has_arm = bool(rig.table.joint)
+        self._crew = Crew(rig, writer, control=control, watch=watch, live=live)
+        self._start_ns = self._turn = 0
+        self._lost: tuple[int, BusLost] | None = None  # since when the bus is away
 
     def run(self) -> CaptureCounts:
         """Record until the end.
@@ -51,56 +64,91 @@ class HandCapture:
             StationError: the recording can't be written.
             DriverError: the bus or the camera fails; the recording is then closed as "interrupted".
         """
-        worker = FrameWorker(self._rig, self._writer)
-        state = "interrupted"
+        failure = None
         try:
-            if self._has_arm:
-                self._event("INFO", f"moved by hand, torque off: {', '.join(self._rig.arm.names)}")
-            self._event("INFO", f"camera: {json.dumps(dict(self._rig.camera.settings))}")
-            with worker:
-                self._look_on(worker)
-            state = "complete"
+            self._look_on()
         except BaseException as error:
-            self._event("ERROR", str(error) or type(error).__name__)
-            raise
-        finally:
-            self._writer.close(state, self._counts(worker).as_dict())
-        return self._counts(worker)
+            failure = error
+        return end(self._crew, self._writer, failure, complete=failure is None, leave=lambda: self._leave(failure))
 
-    def _look_on(self, worker: FrameWorker) -> None:
-        clock, camera = self._rig.clock, self._rig.camera
-        while camera.read(clock.now_ns()) is not None:
-            pass  # frames from before
-        self._dropped_before = camera.dropped
-        start_ns, turn = clock.now_ns(), 0
-        try:
-            while self._duration_s is None or clock.now_ns() - start_ns < self._duration_s * NS_PER_S:
-                if self._has_arm:
-                    self._read()
-                turn = max(turn + 1, int((clock.now_ns() - start_ns) * SERVO_RATE_HZ / NS_PER_S))
-                next_ns = start_ns + int(turn * NS_PER_S / SERVO_RATE_HZ)
-                while (frame := camera.read(next_ns)) is not None:
-                    worker.put(frame)
-                if self._progress is not None:
-                    done_s = (clock.now_ns() - start_ns) / NS_PER_S
-                    self._progress(done_s, self._duration_s or done_s)
-        except KeyboardInterrupt:
-            self._event("INFO", "stopped")
+    def _look_on(self) -> None:
+        with self._crew.clock.seat():
+            try:
+                self._begin()
+                while self._duration_s is None or self._done_ns() < self._duration_s * NS_PER_S:
+                    self._do_turn()
+            except (KeyboardInterrupt, StopAsked):
+                self._crew.journal.info("stopped")
+            finally:
+                self._crew.frames.ask_to_end()
+
+    def _begin(self) -> None:
+        crew = self._crew
+        crew.start()
+        crew.states.to(State.CHECKING)
+        if crew.has_arm:
+            crew.journal.info(f"moved by hand, torque off: {', '.join(self._rig.arm.names)}")
+        crew.situation.step, crew.situation.total_s = "by hand", self._duration_s
+        crew.states.to(State.MOVING)
+        self._start_ns = crew.clock.now_ns()
+        crew.frames.open()
+
+    def _leave(self, failure: BaseException | None) -> None:
+        """There is nothing to be done to an arm that is limp."""
+        if isinstance(failure, Exception):
+            self._crew.states.to(State.FAULT)
+        self._crew.states.to(State.IDLE)
+
+    def _done_ns(self) -> int:
+        return self._crew.clock.now_ns() - self._start_ns
+
+    def _do_turn(self) -> None:
+        crew = self._crew
+        self._read()
+        self._turn = max(self._turn + 1, int(self._done_ns() * SERVO_RATE_HZ / NS_PER_S))
+        crew.clock.sleep_until_ns(self._start_ns + int(self._turn * NS_PER_S / SERVO_RATE_HZ))
+        crew.check()
+        crew.situation.done_s = self._done_ns() / NS_PER_S
+        if self._progress is not None:
+            self._progress(crew.situation.done_s, self._duration_s or crew.situation.done_s)
+        held_from_ns = crew.clock.now_ns()
+        if heed(crew, holds=False):
+            self._start_ns += crew.clock.now_ns() - held_from_ns
+            crew.frames.open()
 
     def _read(self) -> None:
-        reading = self._rig.arm.read()
-        self._writer.log_reading(reading.t_request_ns, reading.t_reply_ns, reading.q, reading.t_joint_ns)
-        self._readings += 1
+        """Read the servos, or look for a bus that is away."""
+        crew = self._crew
+        if not crew.has_arm or self._is_away():
+            crew.tell()
+            return
+        try:
+            crew.read()
+        except BusLost as lost:
+            self._wait_for(lost)
 
-    def _counts(self, worker: FrameWorker) -> CaptureCounts:
-        return CaptureCounts(
-            frames=worker.recorded,
-            dropped_frames=worker.dropped + self._rig.camera.dropped - self._dropped_before,
-            stale_frames=self._rig.camera.stale,
-            commands=0,
-            readings=self._readings,
-            bus_errors=sum(self._rig.arm.bus_errors.values()) if self._has_arm else 0,
-        )
+    def _wait_for(self, lost: BusLost) -> None:
+        """From now on wait for the bus as long as the rig says; raises `lost` where it doesn't wait."""
+        patience_s = self._rig.table.safety.reconnect_s
+        if patience_s <= 0:
+            raise lost
+        self._crew.journal.warn(f"{lost}\nwaiting {patience_s:g} s for it; frames are recorded on")
+        self._lost = self._crew.clock.now_ns(), lost
 
-    def _event(self, level: str, text: str) -> None:
-        self._writer.log_event(self._rig.clock.now_ns(), level, text)
+    def _is_away(self) -> bool:
+        """Whether the bus is still away; raises what it was lost with when the rig's patience is over."""
+        if self._lost is None:
+            return False
+        (since_ns, lost), crew = self._lost, self._crew
+        if self._turn % round(SERVO_RATE_HZ * RECONNECT_EVERY_S):
+            return True
+        try:
+            self._rig.arm.connect()
+        except (BusLost, NoReply):
+            if crew.clock.now_ns() - since_ns > self._rig.table.safety.reconnect_s * NS_PER_S:
+                raise lost from None
+            return True
+        self._lost = None
+        crew.tally.add("reconnects")
+        crew.journal.info("the bus is back")
+        return False

@@ -14,6 +14,10 @@ class Wish(StrEnum):
     STOP = "stop"
 
 
+class StopAsked(Exception):
+    """Somebody asked for the end of a capture; never leaves the capture."""
+
+
 class Control:
     """Wishes for a running capture, from any thread or a signal's handler; the servo loop looks at them each turn.
 

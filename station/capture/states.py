@@ -13,9 +13,9 @@ class State(StrEnum):
     """What a capture is doing.
 
     IDLE: nothing is asked of the servos, before the start and after the end. CHECKING: servos and camera are looked at;
-    nothing moves. MOVING: the motion is under way, or people move the arm. HOLDING: the arm rests at a checkpoint.
-    PAUSED: it rests because somebody asked for it. PARKING: it is brought into the state that the rig declares. FAULT:
-    something failed; the arm has been told to stay where it is.
+    nothing moves. MOVING: the arm goes to where the motion starts or the motion is under way, or people move the arm.
+    HOLDING: it is held, and waits for a bus or a camera that went away. PAUSED: it is held because somebody asked for
+    it. PARKING: it is brought into the state that the rig declares. FAULT: something failed.
     """
 
     IDLE = "idle"
@@ -31,15 +31,15 @@ FOLLOWS: dict[State, frozenset[State]] = {
     State.IDLE: frozenset({State.CHECKING}),
     State.CHECKING: frozenset({State.MOVING, State.PARKING, State.FAULT, State.IDLE}),
     State.MOVING: frozenset({State.HOLDING, State.PAUSED, State.PARKING, State.FAULT, State.IDLE}),
-    State.HOLDING: frozenset({State.MOVING, State.PAUSED, State.PARKING, State.FAULT}),
-    State.PAUSED: frozenset({State.MOVING, State.PARKING, State.FAULT}),
+    State.HOLDING: frozenset({State.MOVING, State.PAUSED, State.PARKING, State.FAULT, State.IDLE}),
+    State.PAUSED: frozenset({State.MOVING, State.HOLDING, State.PARKING, State.FAULT, State.IDLE}),
     State.PARKING: frozenset({State.IDLE, State.FAULT}),
     State.FAULT: frozenset({State.PARKING, State.IDLE}),
 }
 
 
 class StateMachine:
-    """The state of one capture; safe to read from any thread, changed by the servo loop's alone.
+    """The state of one capture; safe to read from any thread, changed by one at a time.
 
     Args:
         entered: called with each new state, after the change.

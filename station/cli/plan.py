@@ -48,7 +48,7 @@ def plan(
     _show(outlook, rig, pictures, as_json)
 
 
-def dry_run(rig: str, motion: str, out: Path, *, simulate: bool, force: bool, as_json: bool) -> None:
+def show_dry_run(rig: str, motion: str, out: Path, *, simulate: bool, force: bool, as_json: bool) -> None:
     """What a capture would do: the same checks, and the picture beside the session's folder, which stays free."""
     from station.commands import foreseeing
     from station.session import check_output_folder

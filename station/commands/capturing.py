@@ -17,7 +17,8 @@ from station.session import SessionDescription, check_output_folder
 if TYPE_CHECKING:
     from station.capture.control import Control
     from station.capture.counts import CaptureCounts
-    from station.capture.service import Progress
+    from station.capture.live_view import LiveView
+    from station.capture.servo_loop import Progress
     from station.capture.snapshot import Watcher
     from station.hand_motion import HandMotion
     from station.recording import RecordingWriter
@@ -44,6 +45,7 @@ class CaptureSettings(TypedDict, total=False):
         progress: called with seconds done and in all.
         control: what people ask of the capture while it runs: pause, go on, stop.
         watch: called some times a second with what the capture is doing.
+        live: is shown frames while there is time for it.
     """
 
     seed: int | None
@@ -53,6 +55,7 @@ class CaptureSettings(TypedDict, total=False):
     progress: Progress | None
     control: Control | None
     watch: Watcher | None
+    live: LiveView | None
 
 
 def capture(rig: str, motion: str, out: Path, **settings: Unpack[CaptureSettings]) -> CaptureCounts:
@@ -77,7 +80,7 @@ def record_motion(
 
     check_output_folder(out, force=settings.get("force", False))
     with _opened(rig_file, settings) as opened, _writer(rig_file, opened, motion_text, out, settings) as writer:
-        return Capture(opened, planned, writer, settings.get("progress")).run()
+        return Capture(opened, planned, writer, **_wishes(settings)).run()
 
 
 def capture_by_hand(
@@ -104,7 +107,7 @@ def capture_by_hand(
     with _opened(rig_file, settings, by_hand) as opened:
         take_in_hand(opened, ask)
         with _writer(rig_file, opened, None, out, settings) as writer:
-            return HandCapture(opened, writer, duration_s=duration_s, progress=settings.get("progress")).run()
+            return HandCapture(opened, writer, duration_s=duration_s, **_wishes(settings)).run()
 
 
 def _opened(
@@ -119,6 +122,23 @@ def _opened(
         seed=settings.get("seed"),
         by_hand=by_hand,
     )
+
+
+class _Wishes(TypedDict):
+    progress: Progress | None
+    control: Control | None
+    watch: Watcher | None
+    live: LiveView | None
+
+
+def _wishes(settings: CaptureSettings) -> _Wishes:
+    """Those of the settings that are for the capture itself."""
+    return {
+        "progress": settings.get("progress"),
+        "control": settings.get("control"),
+        "watch": settings.get("watch"),
+        "live": settings.get("live"),
+    }
 
 
 def _writer(

@@ -121,8 +121,9 @@ class CameraSettings(StrictModel):
 
     latency_s is the time from the middle of the exposure (of the middle row) to the stamp, taken off each frame's
     stamp; readout_s the time from the first to the last row of a rolling shutter, which goes before the calibration's;
-    stall_s how long a camera may give no new frame. pixel_format, exposure_ms, focus, gain (both in the camera's own
-    steps) and white_balance_k are set, locked and read back where they are given.
+    stall_s how long a camera may give no new frame; reconnect_s how long a capture then waits for it, 0 not at all.
+    pixel_format, exposure_ms, focus, gain (both in the camera's own steps) and white_balance_k are set, locked and read
+    back where they are given.
     """
 
     source: int | str
@@ -131,6 +132,7 @@ class CameraSettings(StrictModel):
     readout_s: NotNegative | None = None
     latency_s: float = 0.0
     stall_s: Positive = STALL_S
+    reconnect_s: NotNegative = 0.0
     pixel_format: Annotated[str, Field(pattern=r"^[ -~]{4}$")] | None = None
     exposure_ms: Positive | None = None
     focus: NotNegative | None = None

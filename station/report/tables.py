@@ -26,7 +26,8 @@ NAME_COLUMNS = (6, 32)
 def summary_rows(comparison: Comparison) -> Rows:
     """The comparison as a table for a terminal, at most 100 columns wide; its first row is the header.
 
-    Errors in deg or mm after sign and offset only; lag and gain are against the read-back, else the command.
+    Errors in deg or mm after sign, offset and the session's lag; lag and gain are a joint's own, against the read-back,
+    else the command, in the stamps as given.
     """
     errors = "RMSE/MAE/max"
     header = ["joint", "type", "detected as", f"to read-back\n{errors}", f"to command\n{errors}", "lag [ms]", "gain"]
@@ -129,6 +130,26 @@ def lag_text(agreement: Agreement | None) -> str:
 def gain_text(agreement: Agreement | None) -> str:
     """The gain, "" where undefined."""
     return "" if agreement is None or np.isnan(agreement.gain) else f"{agreement.gain:.3f}"
+
+
+def session_lag_text(comparison: Comparison) -> str:
+    """What is known of the session's one lag and what was done about it: a sentence, without its full stop."""
+    lag = comparison.lag
+    if comparison.clock_lag_s is not None:
+        return f"the references' clock is {_seconds_text(comparison.clock_lag_s, lag.std_s)} behind: applied to them"
+    if lag.lag_s is None:
+        return f"no lag between camera and read-back was applied: {lag.why_not}"
+    trails = "trails" if lag.lag_s >= 0 else "leads"
+    size = f"the camera {trails} the read-back by {_milliseconds_text(abs(lag.lag_s), lag.std_s)}"
+    return f"{size}; not applied: {lag.why_not}" if lag.why_not else f"{size}: applied to the detection's times"
+
+
+def _milliseconds_text(lag_s: float, std_s: float | None) -> str:
+    return f"{three_digits(1e3 * lag_s)} ms" + ("" if std_s is None else f" (std {three_digits(1e3 * std_s)} ms)")
+
+
+def _seconds_text(lag_s: float, std_s: float | None) -> str:
+    return f"{lag_s:.4f} s" + ("" if std_s is None else f" (std {three_digits(1e3 * std_s)} ms)")
 
 
 def three_digits(value: float) -> str:

@@ -7,7 +7,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -78,6 +78,15 @@ class Program:
         """Return when so many frames have been handed to the recording."""
         self.wait_for(lambda: sum(line.word == "frame" for line in self.lines()) >= count, f"{count} frames")
 
+    def wait_for_motion(self, seconds: float) -> None:
+        """Return when frames of so much time have been handed to the recording."""
+
+        def span_s() -> float:
+            stamps = [line.stamp_ns for line in self.lines() if line.word == "frame"]
+            return (max(stamps) - min(stamps)) * 1e-9 if stamps else 0.0
+
+        self.wait_for(lambda: span_s() >= seconds, f"{seconds} s of frames")
+
     def kill(self) -> int:
         """Kill it as `kill -9` does; the monotonic time at which that was, ns."""
         self.process.send_signal(signal.SIGKILL)
@@ -90,22 +99,28 @@ class Program:
         self.process.send_signal(number)
         return self.end()
 
-    def end(self) -> tuple[int, str]:
+    def end(self, patience_s: float = PATIENCE_S) -> tuple[int, str]:
         """Wait for the end; exit code and what it said on standard error."""
-        _, said = self.process.communicate(timeout=PATIENCE_S)
+        _, said = self.process.communicate(timeout=patience_s)
         return self.process.returncode, said
 
 
 @contextmanager
-def program(folder: Path, *arguments: str, session: Path | None = None, breaks: str = "") -> Iterator[Program]:
+def program(
+    folder: Path,
+    *arguments: str,
+    session: Path | None = None,
+    breaks: str = "",
+    variables: Mapping[str, str] | None = None,
+) -> Iterator[Program]:
     """Run `station ARGUMENTS` with its ledger in `folder`/ledger; killed at the end if it still runs.
 
-    `breaks` names what shall fail in it, of tests/trials/told.py.
+    `breaks` names what shall fail in it, of tests/trials/told.py; `variables` are added to its environment.
     """
     ledger = folder / "ledger"
     with subprocess.Popen(
         [sys.executable, "-m", "tests.trials.told", str(ledger), breaks, *arguments],
-        env=environment(folder),
+        env={**environment(folder), **(variables or {})},
         cwd=ROOT,
         stdin=subprocess.DEVNULL,
         stdout=subprocess.PIPE,

@@ -15,6 +15,8 @@ from typing import Any
 
 from drivers.camera import Frame
 
+PATIENCE_S = 0.5
+
 
 def _telling(fd: int, word: str, original: Callable[..., Any], stamp: Callable[..., int]) -> Callable[..., Any]:
     """The method, which writes its line first."""
@@ -94,8 +96,16 @@ def break_one(what: str) -> None:
         _break(RecordingWriter, "log_reading", 50)
 
 
+def be_patient() -> None:
+    """Wait longer for servos than real ones need: on a busy machine emulated ones answer late."""
+    from drivers import sdk_fence
+
+    sdk_fence.REPLY_MARGIN_S = PATIENCE_S
+
+
 def main() -> None:
     """Run the command line, told."""
+    be_patient()
     tell_all(os.open(sys.argv.pop(1), os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644))
     break_one(sys.argv.pop(1))
     from station import cli

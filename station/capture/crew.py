@@ -1,0 +1,122 @@
+"""What the parts of one capture share: the rig, its state, its wishes, the recorder, the frames, who watches."""
+
+from __future__ import annotations
+
+import json
+
+from drivers.arm import ArmReading
+from station.capture.control import Control
+from station.capture.counts import CaptureCounts, Tally
+from station.capture.frame_line import FrameLine
+from station.capture.journal import Journal
+from station.capture.live_view import LiveReading, LiveView
+from station.capture.recorder import Recorder, SessionWriter
+from station.capture.snapshot import Watcher
+from station.capture.states import State, StateMachine
+from station.capture.watching import Situation, Watching
+from station.rig import Rig
+
+NS_PER_S = 1_000_000_000
+SERVO_RATE_HZ = 50.0
+TURN_NS = round(NS_PER_S / SERVO_RATE_HZ)
+# Temperatures and voltages change slowly.
+SERVO_STATES_EVERY_NS = NS_PER_S // 2
+
+
+class Crew:
+    """The parts of one capture, made for it and ended with it.
+
+    Attributes:
+        situation: what the servo loop knows at the moment.
+        leaving: whether the arm is being left: who watches can't break that off any more.
+    """
+
+    def __init__(
+        self,
+        rig: Rig,
+        writer: SessionWriter,
+        *,
+        control: Control | None = None,
+        watch: Watcher | None = None,
+        live: LiveView | None = None,
+    ) -> None:
+        self.rig, self.clock, self.has_arm = rig, rig.clock, bool(rig.table.joint)
+        self.control = control or Control()
+        self.tally, self.situation = Tally(), Situation()
+        self.recorder = Recorder(writer, self.tally, waits=rig.virtual)
+        self.journal = Journal(rig.clock, self.recorder, live)
+        self.frames = FrameLine(rig, self.recorder, self.journal, self.tally, live)
+        self.states = StateMachine(self._entered)
+        self.leaving = False
+        self._live = live
+        self._servos_ns: int | None = None
+        self._watching = Watching(rig.table, rig.clock.now_ns(), watch)
+
+    def start(self) -> None:
+        """Let the threads begin; from a thread that has its turn."""
+        self.recorder.start()
+        self.frames.start()
+        self.journal.info(f"camera: {json.dumps(dict(self.rig.camera.settings))}")
+
+    def check(self) -> None:
+        """Raise what went wrong in one of the threads, if anything did."""
+        self.recorder.check()
+        self.frames.check()
+
+    def read(self) -> ArmReading:
+        """Read the arm, show it to who watches; recorded, beside the command that stands, where frames are.
+
+        What the servos say of themselves is recorded throughout.
+        """
+        reading = self.rig.arm.read()
+        self.situation.reading = reading
+        if self._servos_ns is None or reading.t_ns - self._servos_ns >= SERVO_STATES_EVERY_NS:
+            self._servos_ns = reading.t_ns
+            self.recorder.servos(reading)
+        if self.frames.is_open:
+            if self.situation.goal is not None:
+                self.recorder.command(reading.t_request_ns, self.situation.goal)
+            self.recorder.reading(reading)
+            self.tally.add("readings")
+        if self._live is not None:
+            self._live.offer(LiveReading(reading.t_ns, reading.q, self.situation.goal))
+        self.tell()
+        return reading
+
+    def tell(self) -> None:
+        """Show the capture to who watches, if it is time."""
+        if self._watching.is_due(self.clock.now_ns()):
+            self._tell()
+
+    def counts(self) -> CaptureCounts:
+        """What was counted so far."""
+        dropped, stale = self.frames.lost_since_open
+        return self.tally.counts(
+            dropped_by_camera=dropped,
+            stale_frames=stale,
+            bus_errors=sum(self.rig.arm.bus_errors.values()) if self.has_arm else 0,
+            live_view_shed=0 if self._live is None else sum(self._live.shed.values()),
+        )
+
+    def checkpoint(self, leg: int, legs: int) -> None:
+        """A leg of the plan begins: once the frames before it are recorded, all before it is safe from a kill."""
+        self.frames.detection.afterwards(lambda: self.recorder.checkpoint(leg, legs, self.counts()))
+
+    def _entered(self, state: State) -> None:
+        self.journal.info(f"state: {state}")
+        self._tell()
+
+    def _tell(self) -> None:
+        try:
+            self._watching.tell(
+                self.clock.now_ns(),
+                self.states.state,
+                self.situation,
+                self.counts(),
+                dict(self.frames.detection.seen_ns),
+                self.journal.said,
+            )
+        except Exception as error:
+            if not self.leaving:
+                raise
+            self.journal.error(error, "who watches")

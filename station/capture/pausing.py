@@ -1,0 +1,64 @@
+"""Pause, go on, stop: what people ask of a capture, seen to in the servo loop."""
+
+from __future__ import annotations
+
+import time
+
+from station.capture.control import StopAsked, Wish
+from station.capture.crew import TURN_NS, Crew
+from station.capture.states import State
+
+# Of real time: how often who watches is told of a pause while a virtual clock stands still.
+LOOK_S = 0.2
+
+
+def heed(crew: Crew, *, holds: bool) -> bool:
+    """See to what is asked for, each turn; returns whether the capture was paused meanwhile.
+
+    Nothing is recorded during a pause. The servos are read on, which is what watches over them and keeps their bus
+    watchdogs quiet. On a virtual clock the simulated world stands still with the clock.
+
+    Args:
+        holds: whether the arm is to hold itself, at once; it is limp if not.
+
+    Raises:
+        StopAsked: somebody asked for the end.
+    """
+    wish = crew.control.wish
+    if wish is Wish.PAUSE:
+        _pause(crew, holds=holds)
+        return True
+    if wish is Wish.STOP:
+        raise StopAsked
+    return False
+
+
+def _pause(crew: Crew, *, holds: bool) -> None:
+    crew.frames.close()
+    before = crew.states.state
+    if holds:
+        hold(crew)
+    crew.tally.add("pauses")
+    crew.states.to(State.PAUSED)
+    since_s = time.monotonic()
+    while (wish := crew.control.wait_while_paused(LOOK_S) if crew.rig.virtual else _next_turn(crew)) is Wish.PAUSE:
+        crew.tell()
+    crew.journal.info(f"paused for {time.monotonic() - since_s:.1f} s")
+    if wish is Wish.STOP:
+        raise StopAsked
+    crew.states.to(before)
+
+
+def hold(crew: Crew) -> None:
+    """Have the arm stay where it is, at once."""
+    crew.rig.arm.stop()
+    crew.situation.goal = crew.read().q
+
+
+def _next_turn(crew: Crew) -> Wish:
+    """Watch the servos for a turn of a pause."""
+    crew.clock.sleep_until_ns(crew.clock.now_ns() + TURN_NS)
+    if crew.has_arm:
+        crew.read()
+    crew.check()
+    return crew.control.wish

@@ -1,0 +1,144 @@
+"""Two hours of a capture on the virtual clock: memory, the recording's size, and the memory of its fit.
+
+The packaged demo rig goes through a cycle of four steps, 6 s long, again and again; servos at 50 Hz, all through the
+emulated bus and the recording that a real session has. What is simulated more cheaply than in a session: a picture
+that was drawn for the same joint states, to within 0.05 deg, is shown again with its noise, and what the detector found
+in it is found again (`--detect` runs it on every frame). Poses, JPEGs and recording are made anew for every frame.
+
+Memory is read at every minute of the session's time, and must not grow after the first one tenth of the session. The
+fit runs as a program of its own, whose peak the kernel tells.
+
+Run: python -m tests.benchmarks.two_hours [--hours H] [--fps N] [--quick] [--detect] [--keep DIR]
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from station.commands import capturing
+from station.commands.fitting import MOST_SIGHTINGS
+from station.perception.marker_tracker import MarkerTracker
+from station.rig import load_rig
+from station.stage import Stage
+from tests.trials.memory import resident_mb, run_measured
+
+CYCLE_S = 6.0
+POSES = ((20, 15, -30, 20), (-20, 15, -10, 20), (-20, -15, -10, -20), (20, -15, -30, -20))
+JOINTS = ("base_pan", "shoulder", "elbow", "wrist")
+SAME_DEG = 0.05
+FLAT_MB = 10.0
+# What a fit is said to take at most (docs/python.md), MB.
+FIT_MB = 3000.0
+STATION = (sys.executable, "-c", "from station.cli import main; main()")
+
+
+def motion_text(cycles: int) -> str:
+    """A motion.toml that goes through the poses so many times."""
+    lines = ['schema = "motion/1"', 'name = "cycles"']
+    for _ in range(cycles):
+        for pose in POSES:
+            move = ", ".join(f"{joint} = {deg}" for joint, deg in zip(JOINTS, pose, strict=True))
+            lines += ["[[step]]", f"move = {{ {move} }}", "speed_deg_s = 40", "hold_s = 0.5"]
+    return "\n".join(lines) + "\n"
+
+
+class Memory:
+    """Remembers what a function gave for a key; counts how often it was asked and what it had to make."""
+
+    def __init__(self, make: Callable[..., Any], key: Callable[..., Any]) -> None:
+        self._make, self._key = make, key
+        self._known: dict[Any, Any] = {}
+        self.asked = 0
+
+    def __call__(self, *values: Any) -> Any:
+        self.asked += 1
+        key = self._key(*values)
+        if key not in self._known:
+            self._known[key] = self._make(*values)
+        return self._known[key]
+
+    @property
+    def made(self) -> int:
+        return len(self._known)
+
+
+def remembering(*, detect: bool) -> Memory:
+    """Have all stages draw each picture once, and all trackers look at each once unless `detect`."""
+    pictures = Memory(
+        Stage.render, lambda stage, q, index: np.round(np.degrees(q) / SAME_DEG).astype(np.int64).tobytes()
+    )
+    Stage.render = lambda self, q, index: pictures(self, q, index)
+    if not detect:
+        seen = Memory(MarkerTracker.detect, lambda tracker, image: id(image))  # the pictures are kept: ids stay theirs
+        MarkerTracker.detect = lambda self, image: seen(self, image)
+    return pictures
+
+
+def run(folder: Path, hours: float, fps: float) -> tuple[Path, np.ndarray]:
+    """Capture, and return the session with (minutes, MB in memory, MB of the recording, s taken) for each minute."""
+    text = load_rig("demo").text.replace("fps = 30", f"fps = {fps:g}")
+    (folder / "rig.toml").write_text(text, encoding="utf-8")
+    (folder / "motion.toml").write_text(motion_text(round(hours * 3600 / CYCLE_S)), encoding="utf-8")
+    session, rows, begun_s = folder / "session", [], time.monotonic()
+
+    def look(done_s: float, total_s: float) -> None:
+        if done_s >= 60 * (len(rows) + 1) or done_s >= total_s:
+            size_mb = sum(path.stat().st_size for path in session.glob("*.rrd")) / 1e6
+            rows.append((done_s / 60, resident_mb(), size_mb, time.monotonic() - begun_s))
+            if len(rows) % 10 == 0 or done_s >= total_s:
+                print(
+                    "{:8.1f} min {:8.1f} MB in memory {:9.1f} MB on disk {:8.0f} s taken".format(*rows[-1]), flush=True
+                )
+
+    counts = capturing.capture(str(folder / "rig.toml"), str(folder / "motion.toml"), session, seed=0, progress=look)
+    print(", ".join(f"{name} {number}" for name, number in counts.as_dict().items()))
+    return session, np.array(rows)
+
+
+def show_memory(rows: np.ndarray) -> None:
+    """Print whether memory stayed flat after the first tenth."""
+    later = rows[max(1, len(rows) // 10) :]
+    slope = float(np.polyfit(later[:, 0], later[:, 1], 1)[0]) if len(later) > 2 else 0.0
+    grown = slope * (later[-1, 0] - later[0, 0])
+    verdict = "flat" if grown < FLAT_MB else f"NOT flat, wanted less than {FLAT_MB:g} MB"
+    least, most = later[:, 1].min(), later[:, 1].max()
+    print(
+        f"memory from minute {later[0, 0]:.0f} to {later[-1, 0]:.0f}: {least:.1f} to {most:.1f} MB, "
+        f"line through them {grown:+.1f} MB ({1e3 * slope:+.1f} kB a minute): {verdict}"
+    )
+
+
+def main() -> None:
+    """Print the tables."""
+    options = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    options.add_argument("--hours", type=float, default=2.0)
+    options.add_argument("--fps", type=float, default=30.0)
+    options.add_argument("--quick", action="store_true", help="four minutes")
+    options.add_argument("--detect", action="store_true", help="look for markers in every frame")
+    options.add_argument("--keep", type=Path, help="folder to work in, kept; a temporary one if left out")
+    chosen = options.parse_args()
+    pictures = remembering(detect=chosen.detect)
+    with tempfile.TemporaryDirectory() as name:
+        folder = chosen.keep or Path(name)
+        folder.mkdir(parents=True, exist_ok=True)
+        session, rows = run(folder, 4 / 60 if chosen.quick else chosen.hours, chosen.fps)
+        print(f"{pictures.made} pictures drawn for {pictures.asked} frames")
+        show_memory(rows)
+        code, peak_mb, processor_s = run_measured([*STATION, "fit", str(session)])
+        verdict = "within" if peak_mb <= FIT_MB else "NOT within"
+        print(
+            f"fit: exit code {code}, peak {peak_mb:.0f} MB, {verdict} the {FIT_MB:.0f} MB that are stated "
+            f"(at most {MOST_SIGHTINGS} markers), {processor_s:.0f} s of processor time"
+        )
+
+
+if __name__ == "__main__":
+    main()
