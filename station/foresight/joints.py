@@ -49,14 +49,16 @@ def joint_outlooks(forecast: Forecast) -> tuple[JointOutlook, ...]:
 
 def _outlook(forecast: Forecast, j: int) -> JointOutlook:
     name = forecast.plan.joints[j].name
-    ends = {joint.name: (joint.parent, joint.child) for joint in forecast.scene.tree.joints}
-    parent, child = ends[name] if name in forecast.scene.links else (None, None)
+    between = {joint.name: (joint.parent, joint.child) for joint in forecast.scene.tree.joints}
+    parent, child = between[name] if name in forecast.scene.links else (None, None)
     bodies = [body for body in (parent, child) if body is not None]
     tilts = np.stack([_best_tilt(forecast, body) for body in bodies] or [np.full(len(forecast.t_s), np.inf)])
     tilt = np.asarray(tilts.max(axis=0), dtype=np.float64)
     seen = np.isfinite(tilt)
     q, travel = forecast.q[:, j], forecast.travel[:, j]
     total = float(travel.sum())
+    ends = [(segment.q_from[j], segment.q_to[j]) for segment in forecast.plan.segments]
+    whole = np.concatenate([q, np.ravel(ends)])
     return JointOutlook(
         name=name,
         moves=total > 0,
@@ -66,7 +68,7 @@ def _outlook(forecast: Forecast, j: int) -> JointOutlook:
         seen=seen,
         share=float(seen.mean()),
         travel_share=float(travel[seen].sum()) / total if total > 0 else 1.0,
-        whole=(float(q.min()), float(q.max())),
+        whole=(float(whole.min()), float(whole.max())),
         visible=(float(q[seen].min()), float(q[seen].max())) if seen.any() else None,
         tilt_rad=np.where(seen, tilt, np.nan),
         oblique_share=np.count_nonzero(tilt[seen] > OBLIQUE_RAD) / max(np.count_nonzero(seen), 1),

@@ -171,10 +171,13 @@ def _mark_steps(axes: Axes, forecast: Forecast, frames: Sequence[int]) -> None:
             axes.text(segment.t_start_s, 1.0, str(segment.step), **small, **over)
             free_from_s, step = segment.t_start_s + STEP_LABEL_IN / per_s, segment.step
     drop = 0.3 / (ROW_IN * len(forecast.scene.mounts))
+    free_from_s = -np.inf
     for letter, frame in zip("ABCDEFGH", frames, strict=False):
         t_s = float(forecast.t_s[frame])
+        free_from_s = max(t_s, free_from_s)  # a letter that has no room moves on, its line doesn't
         axes.axvline(t_s, color=LIGHT.detected, lw=0.8, ls=(0, (3, 2)))
-        axes.text(t_s, 1.0 + drop * 0.55, letter, fontsize=9, weight="bold", color=LIGHT.detected, **over)
+        axes.text(free_from_s, 1.0 + drop * 0.55, letter, fontsize=9, weight="bold", color=LIGHT.detected, **over)
+        free_from_s += STEP_LABEL_IN / per_s
 
 
 def _legend(figure: Figure, forecast: Forecast, bottom: float, height_in: float) -> None:
