@@ -7,6 +7,7 @@ import os
 import re
 import shutil
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
@@ -21,6 +22,10 @@ RECORDING_FILE = "recording.rrd"
 # A session that was gone on with has further pieces until they are joined; this one, while it is there, is all of them.
 JOINED_FILE = "recording.joined.rrd"
 STATUS_FILE = "session.json"
+# The next session.json is written here before it takes the place of the last one.
+RESERVE_FILE = "session.json.part"
+# Far more than a session.json has.
+RESERVE_BYTES = 8192
 RIG_FILE = "rig.toml"
 MOTION_FILE = "motion.toml"
 LATER_PIECE = re.compile(r"recording_(\d+)\.rrd")
@@ -131,7 +136,7 @@ def recording_pieces(folder: Path) -> list[Path]:
     if (joined := folder / JOINED_FILE).exists():
         return [joined]
     first = folder / RECORDING_FILE
-    return [path for path in (first, *_later_pieces(folder)) if path.exists()]
+    return [path for path in (first, *later_pieces(folder)) if path.exists()]
 
 
 def next_piece(folder: Path) -> int:
@@ -140,7 +145,8 @@ def next_piece(folder: Path) -> int:
     return numbers[-1] + 1 if numbers else 1
 
 
-def _later_pieces(folder: Path) -> list[Path]:
+def later_pieces(folder: Path) -> list[Path]:
+    """The files after the first one, in order, that were begun when the session was gone on with."""
     return [folder / piece_file(number) for number in _piece_numbers(folder)]
 
 
@@ -152,8 +158,8 @@ def _piece_numbers(folder: Path) -> list[int]:
 
 def clear_session(folder: Path) -> None:
     """Remove an earlier session's files, fit and report, so that nothing of it passes for the next one's."""
-    names = (RECORDING_FILE, JOINED_FILE, STATUS_FILE, RIG_FILE, MOTION_FILE)
-    for path in (*(folder / name for name in names), *_later_pieces(folder)):
+    names = (RECORDING_FILE, JOINED_FILE, STATUS_FILE, RESERVE_FILE, RIG_FILE, MOTION_FILE)
+    for path in (*(folder / name for name in names), *later_pieces(folder)):
         path.unlink(missing_ok=True)
     for name in (FIT_FOLDER, REPORT_FOLDER):
         shutil.rmtree(folder / name, ignore_errors=True)
@@ -165,13 +171,30 @@ def write_status(folder: Path, status: SessionStatus) -> None:
     document["started"] = _text(status.started)
     document["ended"] = None if status.ended is None else _text(status.ended)
     document["starts"] = [{"when": _text(start.when), "elapsed_s": start.elapsed_s} for start in status.starts]
-    part = folder / f"{STATUS_FILE}.part"
-    with part.open("w", encoding="utf-8") as file:
-        json.dump(document, file, indent=2, allow_nan=False)
-        file.write("\n")
+    content = (json.dumps(document, indent=2, allow_nan=False) + "\n").encode()
+    part = folder / RESERVE_FILE
+    # Over what was reserved, if it was: a full disk has no room for anything new.
+    with part.open("r+b" if part.exists() else "wb") as file:
+        file.write(content)
+        file.truncate()
         file.flush()
         os.fsync(file.fileno())
     part.replace(folder / STATUS_FILE)
+
+
+def reserve_status(folder: Path) -> None:
+    """Reserve room for the next session.json, so that it can be written on a full disk too; where there is room."""
+    part = folder / RESERVE_FILE
+    with suppress(OSError), part.open("wb") as file:
+        file.write(b" " * RESERVE_BYTES)
+        file.flush()
+        os.fsync(file.fileno())
+
+
+def drop_reserve(folder: Path) -> None:
+    """Give the room back."""
+    with suppress(OSError):
+        (folder / RESERVE_FILE).unlink(missing_ok=True)
 
 
 def read_status(folder: Path) -> SessionStatus:

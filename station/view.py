@@ -1,4 +1,4 @@
-"""The viewer: its layout for a session, opening it on a session, and pictures of it without a screen."""
+"""The viewer: opening it on a session, and pictures of it without a screen."""
 
 from __future__ import annotations
 
@@ -15,16 +15,13 @@ from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING
 
-import rerun as rr
-import rerun.blueprint as rrb
-
 from station.errors import InvalidFile, StationError
 from station.recording import layout
+from station.recording.blueprint import session_blueprint as session_blueprint
 from station.recording.live import HOST, free_port
 from station.session import FIT_FILE, FIT_FOLDER, RECORDING_FILE, recording_pieces
 
 if TYPE_CHECKING:
-    from rerun.encodings import EntityPathLike
     from rerun.experimental import ViewerClient
 
 # What a slow machine without a graphics card needs to show a window, to load a session, to draw all of it, s.
@@ -34,51 +31,6 @@ DRAW_S = 60.0
 # Between two looks at the viewer, s: while it still loads, two pictures this far apart differ.
 POLL_S = 0.7
 CLOSE_S = 5.0
-
-JOINT_STATES = (layout.COMMANDED, layout.MEASURED, layout.DETECTED)
-
-
-def session_blueprint(joints: Sequence[str]) -> rrb.Blueprint:
-    """The viewer's layout: camera and markers in space, the image with the detected corners, the joints, the log."""
-    space = rrb.Spatial3DView(
-        name="space",
-        contents=[
-            f"/{layout.IMAGE}",
-            f"/{layout.LIVE_IMAGE}",
-            f"/{layout.TRANSFORMS}",
-            f"/{layout.MARKERS}/**",
-            f"/{layout.AXES}/**",
-        ],
-        spatial_information=rrb.SpatialInformation(target_frame=layout.CAMERA_FRAME),
-        # From above and to the right of the camera, whose y points down.
-        eye_controls=rrb.EyeControls3D(position=(0.36, -0.31, -0.16), look_target=(0, 0, 0.4), eye_up=(0, -1, 0)),
-        line_grid=False,
-    )
-    image = rrb.Spatial2DView(name="camera", origin=f"/{layout.IMAGE}", contents="$origin/**")
-    log = rrb.TextLogView(name="log", origin=f"/{layout.EVENTS}")
-    seen = rrb.Horizontal(space, image)
-    # Without commanded joints too: a fit's states come into the same view.
-    below = rrb.Horizontal(_joint_views(joints), log, column_shares=[5, 2])
-    time_panel = rrb.TimePanel(timeline=layout.ELAPSED, state="collapsed")
-    return rrb.Blueprint(rrb.Vertical(seen, below), time_panel, collapse_panels=True)
-
-
-def _joint_views(joints: Sequence[str]) -> rrb.Tabs:
-    """All joints together, then each alone, if they are known."""
-    return rrb.Tabs(
-        rrb.TimeSeriesView(name="joints", origin="/", contents=[f"/{entity}" for entity in JOINT_STATES]),
-        # One more than there are joints stands for all that a fit names otherwise.
-        *[_joint_view(joint, [other == joint for other in (*joints, "")]) for joint in joints],
-        *([rrb.TimeSeriesView(name="servos", origin=f"/{layout.SERVOS}")] if joints else []),
-    )
-
-
-def _joint_view(joint: str, shown: Sequence[bool]) -> rrb.TimeSeriesView:
-    paths = [f"/{entity}" for entity in JOINT_STATES]
-    series: dict[EntityPathLike, rr.SeriesLines] = dict.fromkeys(
-        paths, rr.SeriesLines.from_fields(visible_series=shown)
-    )
-    return rrb.TimeSeriesView(name=joint, origin="/", contents=paths, overrides=series)
 
 
 def session_files(session: Path) -> list[Path]:
@@ -128,6 +80,24 @@ class Viewer:
     def pid(self) -> int:
         """The viewer's process."""
         return self._process.pid
+
+    def show(self, address: str) -> None:
+        """Show what is served at an address, such as a live view.
+
+        Raises:
+            StationError: the viewer isn't there any more.
+        """
+        from rerun.experimental import ViewerClient
+
+        try:
+            ViewerClient.connect(f"rerun+http://{HOST}:{self.port}/proxy").open([address])
+        except (ConnectionError, RuntimeError, TimeoutError) as error:
+            raise StationError(self.ended() or str(error).splitlines()[0]) from error
+
+    def leave(self) -> None:
+        """Let the viewer run on, also after the end of this program."""
+        self._process.returncode = self._process.poll() or 0  # nobody waits for it any more
+        self._home.cleanup()
 
     def wait(self) -> None:
         """Return when the person has closed the viewer."""

@@ -131,3 +131,27 @@ def test_the_picture_is_the_same_each_time(tmp_path: Path):
     one, other = (foreseeing.save_picture(outlook, tmp_path / name / "plan") for name in ("one", "other"))
     assert [path.read_bytes() for path in one] == [path.read_bytes() for path in other]
     assert not re.search(r"nan", one[1].read_text(encoding="utf-8")[:200_000].split("base64")[0])
+
+
+@pytest.mark.parametrize("command", ["run", "capture"])
+def test_a_dry_run_opens_nothing_and_leaves_the_sessions_folder_free(
+    station, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, command: str
+):
+    def opened(*_: object, **__: object) -> None:
+        raise AssertionError("a device was opened")
+
+    monkeypatch.setattr("station.rig.open_rig", opened)
+    out = tmp_path / "session"
+    code, text, said = station(command, "demo", write_motion(tmp_path), "--out", out, "--dry-run")
+    assert code == 0, said
+    assert "within all limits" in text and "first not seen" in text
+    assert not out.exists()
+    assert (tmp_path / "session_plan.png").stat().st_size > 0
+
+
+def test_a_dry_run_of_a_motion_over_a_limit_is_an_error(station, tmp_path: Path):
+    far = 'schema = "motion/1"\nname = "far"\n[[step]]\nmove = { elbow = 40 }\n'
+    code, _, said = station("run", "demo", write_motion(tmp_path, far), "--out", tmp_path / "session", "--dry-run")
+    assert code == 1 and "elbow would go to 40.0 deg" in said
+    code, _, _ = station("capture", "demo", "--hand", "--out", tmp_path / "session", "--dry-run")
+    assert code == 2

@@ -107,7 +107,10 @@ def test_a_viewer_shows_the_sessions_recording_in_its_layout_and_keeps_it_after_
             client.open([live_address(port)])
             show(stream, 30)
         deadline = time.monotonic() + 20.0
-        while not (state := client.get_state()).views and time.monotonic() < deadline:
+        while time.monotonic() < deadline:  # what comes bit by bit is all there at some time
+            state = client.get_state()
+            if state.views and not any(view.reports for view in state.views):
+                break
             time.sleep(0.1)
     assert [recording.store_id for recording in state.recordings] == ["Recording:station:made"]
     assert {view.name for view in state.views} == {"space", "camera", "joints", *JOINTS, "servos", "log"}

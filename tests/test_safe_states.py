@@ -53,6 +53,7 @@ class Events:
     events: list[str] = field(default_factory=list)
     t_s: list[float] = field(default_factory=list)
     state: str = ""
+    counts: dict[str, int] = field(default_factory=dict)
 
     def log_command(self, t_ns: int, q: np.ndarray) -> None: ...
 
@@ -71,7 +72,7 @@ class Events:
         return next(t for t, event in zip(self.t_s, self.events, strict=True) if part in event)
 
     def close(self, state: str, counts: dict[str, int]) -> None:
-        self.state = state
+        self.state, self.counts = state, counts
 
 
 @dataclass
@@ -111,6 +112,7 @@ def lab(
     more: str = "",
     mode: str = "step",
     weight: str = "",
+    reply_timeout_s: float = 10.0,
 ) -> Iterator[Lab]:
     source, (joint, hot) = load_rig(name), RIGS[name]
     ids = next([servo.id for servo in each.servo] for each in source.table.joint if each.name == joint)
@@ -125,7 +127,11 @@ def lab(
     with (
         EmulatedArm(table, table.simulation, clock) as emulated,
         DynamixelBus(
-            emulated.path, baud=table.bus.baud, protocol=table.bus.protocol, clock=clock, reply_timeout_s=10.0
+            emulated.path,
+            baud=table.bus.baud,
+            protocol=table.bus.protocol,
+            clock=clock,
+            reply_timeout_s=reply_timeout_s,
         ) as bus,
     ):
         arm = Arm(bus, joint_configs(table), clock, limits=safety_limits(table))

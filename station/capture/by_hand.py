@@ -6,11 +6,12 @@ from drivers.errors import BusLost, NoReply
 from station.capture.control import Control, StopAsked
 from station.capture.counts import CaptureCounts
 from station.capture.crew import NS_PER_S, SERVO_RATE_HZ, Crew
-from station.capture.ending import end
+from station.capture.ending import Unbroken, end
+from station.capture.leaving import RECONNECT_EVERY_S, say_left
 from station.capture.live_view import LiveView
 from station.capture.pausing import heed
 from station.capture.recorder import SessionWriter
-from station.capture.servo_loop import RECONNECT_EVERY_S, Progress
+from station.capture.servo_loop import Progress
 from station.capture.snapshot import Watcher
 from station.capture.states import State
 from station.releasing import Ask, release
@@ -64,12 +65,14 @@ class HandCapture:
             StationError: the recording can't be written.
             DriverError: the bus or the camera fails; the recording is then closed as "interrupted".
         """
-        failure = None
+        ending, failure = Unbroken("end of the capture"), None
         try:
             self._look_on()
         except BaseException as error:
             failure = error
-        return end(self._crew, self._writer, failure, complete=failure is None, leave=lambda: self._leave(failure))
+        return end(
+            ending, self._crew, self._writer, failure, complete=failure is None, leave=lambda: self._leave(failure)
+        )
 
     def _look_on(self) -> None:
         with self._crew.clock.seat():
@@ -94,10 +97,13 @@ class HandCapture:
         crew.frames.open()
 
     def _leave(self, failure: BaseException | None) -> None:
-        """There is nothing to be done to an arm that is limp."""
+        """There is nothing to be done to an arm that is limp, or to none."""
         if isinstance(failure, Exception):
             self._crew.states.to(State.FAULT)
-        self._crew.states.to(State.IDLE)
+        if self._crew.has_arm:
+            say_left(self._crew, "limp, as it was")
+        else:
+            self._crew.states.to(State.IDLE)
 
     def _done_ns(self) -> int:
         return self._crew.clock.now_ns() - self._start_ns

@@ -9,6 +9,7 @@ from dataclasses import replace
 from drivers.camera import Camera, Frame
 from drivers.clock import Clock
 from drivers.errors import CameraEnded, CameraError
+from station.capture.counts import Tally
 from station.capture.journal import Journal
 
 NS_PER_S = 1_000_000_000
@@ -29,9 +30,16 @@ class CameraThread:
     """
 
     def __init__(
-        self, camera: Camera, clock: Clock, take: Callable[[Frame], None], journal: Journal, reconnect_s: float
+        self,
+        camera: Camera,
+        clock: Clock,
+        take: Callable[[Frame], None],
+        journal: Journal,
+        tally: Tally,
+        reconnect_s: float,
     ) -> None:
-        self._camera, self._clock, self._take, self._journal = camera, clock, take, journal
+        self._camera, self._clock, self._take = camera, clock, take
+        self._journal, self._tally = journal, tally
         self._reconnect_s = reconnect_s
         self._ending, self._away = threading.Event(), threading.Event()
         self._failure: BaseException | None = None
@@ -107,5 +115,7 @@ class CameraThread:
                     raise gone from None
                 continue
             self._before, self._first_index = lost, self._next_index
+            self._tally.add("reconnects")
+            self._journal.info("the camera is back")
             self._away.clear()
             return

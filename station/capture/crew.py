@@ -98,6 +98,12 @@ class Crew:
             live_view_shed=0 if self._live is None else sum(self._live.shed.values()),
         )
 
+    def tell_shed(self) -> None:
+        """Tell how much the live view left out, and why."""
+        if self._live is not None and (shed := self._live.shed):
+            reasons = ", ".join(f"{count} ({reason})" for reason, count in shed.items())
+            self.journal.info(f"not shown in the live view: {reasons}")
+
     def checkpoint(self, leg: int, legs: int) -> None:
         """A leg of the plan begins: once the frames before it are recorded, all before it is safe from a kill."""
         self.frames.detection.afterwards(lambda: self.recorder.checkpoint(leg, legs, self.counts()))

@@ -10,7 +10,41 @@ from station.capture.crew import Crew
 from station.capture.recorder import SessionWriter
 
 
+class Unbroken:
+    """Does something to its end in a thread of its own, where no signal's exception reaches it.
+
+    The thread waits from the start on: beginning one can be broken off, too.
+    """
+
+    def __init__(self, name: str) -> None:
+        self._begins, self._done = threading.Event(), threading.Event()
+        self._work: Callable[[], None] | None = None
+        self._raised: list[BaseException] = []
+        self._thread = threading.Thread(target=self._run, name=name, daemon=True)
+        self._thread.start()
+
+    def do(self, work: Callable[[], None]) -> list[BaseException]:
+        """Do it; returns what it raised, and the KeyboardInterrupts and SystemExits that came meanwhile."""
+        interrupts: list[BaseException] = []
+        while not self._done.is_set():
+            try:
+                self._work = work
+                self._begins.set()
+                self._done.wait()  # a thread's join, interrupted by a signal, takes the thread for ended
+            except BaseException as interrupt:
+                interrupts.append(interrupt)
+        self._thread.join()
+        return [*self._raised, *interrupts]
+
+    def _run(self) -> None:
+        self._begins.wait()
+        if self._work is not None:
+            _try(self._raised, self._work)
+        self._done.set()
+
+
 def end(
+    ending: Unbroken,
     crew: Crew,
     writer: SessionWriter,
     failure: BaseException | None,
@@ -27,11 +61,12 @@ def end(
         complete: whether all that was to be recorded has been.
         leave: brings the arm into the state that the rig declares; called in a turn.
     """
-    failures = [] if failure is None else [failure]
-    if failure is not None:
-        crew.journal.error(failure)
+    failures: list[BaseException] = []
 
     def finish() -> None:
+        if failure is not None:
+            failures.append(failure)
+            crew.journal.error(failure)
         with crew.clock.seat():
             _try(failures, leave)
         for step in (crew.frames.end, crew.frames.check, crew.recorder.end, crew.recorder.check):
@@ -39,9 +74,9 @@ def end(
         state = "complete" if complete and not failures else "interrupted"
         _try(failures, lambda: writer.close(state, crew.counts().as_dict()))
 
-    failures += unbroken(finish, "ending the capture")
-    if failures:
-        raise failures[0]
+    raised = ending.do(finish)
+    for error in (*failures, *raised):
+        raise error
     return crew.counts()
 
 
@@ -50,25 +85,3 @@ def _try(failures: list[BaseException], step: Callable[[], object]) -> None:
         step()
     except BaseException as error:  # the first is raised when all is done
         failures.append(error)
-
-
-def unbroken(work: Callable[[], None], name: str) -> list[BaseException]:
-    """Do something to its end in a thread of its own, where no signal's exception reaches it.
-
-    Returns what it raised, and the KeyboardInterrupts and SystemExits that came meanwhile.
-    """
-    done, raised = threading.Event(), list[BaseException]()
-
-    def run() -> None:
-        _try(raised, work)
-        done.set()
-
-    thread = threading.Thread(target=run, name=name)
-    thread.start()
-    while not done.is_set():
-        try:
-            done.wait()  # a thread's join, interrupted by a signal, takes the thread for ended
-        except BaseException as interrupt:
-            raised.append(interrupt)
-    thread.join()
-    return raised

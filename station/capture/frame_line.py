@@ -5,8 +5,9 @@ from __future__ import annotations
 from drivers.camera import Frame
 from station.capture.camera_thread import CameraThread
 from station.capture.counts import Tally
-from station.capture.detection import Detection, LiveView
+from station.capture.detection import Detection
 from station.capture.journal import Journal
+from station.capture.live_view import LiveView
 from station.capture.recorder import Recorder
 from station.rig import Rig
 
@@ -22,7 +23,7 @@ class FrameLine:
     def __init__(self, rig: Rig, recorder: Recorder, journal: Journal, tally: Tally, live: LiveView | None) -> None:
         self._clock, self._tally = rig.clock, tally
         self.detection = Detection(rig, recorder.frame, tally, live, waits=rig.virtual)
-        self.camera = CameraThread(rig.camera, rig.clock, self._take, journal, rig.table.camera.reconnect_s)
+        self.camera = CameraThread(rig.camera, rig.clock, self._take, journal, tally, rig.table.camera.reconnect_s)
         self._since_ns: int | None = None
         self._lost_before = (0, 0)
         self._last_ns = -1

@@ -30,7 +30,7 @@ RATE, BEHIND, FAILED, CLOSED = "over the view's rate", "view behind", "view fail
 
 @dataclass(frozen=True, eq=False, slots=True)
 class LiveFrame:
-    """A frame and its markers; the image (H, W, 3) BGR or (H, W) grey must not be written to any more."""
+    """A frame and its markers; the image (H, W, 3) BGR or (H, W) grey is only read."""
 
     index: int
     t_ns: int

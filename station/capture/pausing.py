@@ -13,7 +13,7 @@ LOOK_S = 0.2
 
 
 def heed(crew: Crew, *, holds: bool) -> bool:
-    """See to what is asked for, each turn; returns whether the capture was paused meanwhile.
+    """See to what is asked for, each turn; returns whether there was a pause.
 
     Nothing is recorded during a pause. The servos are read on, which is what watches over them and keeps their bus
     watchdogs quiet. On a virtual clock the simulated world stands still with the clock.
@@ -24,16 +24,16 @@ def heed(crew: Crew, *, holds: bool) -> bool:
     Raises:
         StopAsked: somebody asked for the end.
     """
-    wish = crew.control.wish
-    if wish is Wish.PAUSE:
-        _pause(crew, holds=holds)
-        return True
-    if wish is Wish.STOP:
+    paused = heed_pause(crew, holds=holds)
+    if crew.control.wish is Wish.STOP:
         raise StopAsked
-    return False
+    return paused
 
 
-def _pause(crew: Crew, *, holds: bool) -> None:
+def heed_pause(crew: Crew, *, holds: bool) -> bool:
+    """Pause if that is asked for; returns whether it was."""
+    if crew.control.wish is not Wish.PAUSE:
+        return False
     crew.frames.close()
     before = crew.states.state
     if holds:
@@ -41,12 +41,11 @@ def _pause(crew: Crew, *, holds: bool) -> None:
     crew.tally.add("pauses")
     crew.states.to(State.PAUSED)
     since_s = time.monotonic()
-    while (wish := crew.control.wait_while_paused(LOOK_S) if crew.rig.virtual else _next_turn(crew)) is Wish.PAUSE:
+    while (crew.control.wait_while_paused(LOOK_S) if crew.rig.virtual else _next_turn(crew)) is Wish.PAUSE:
         crew.tell()
     crew.journal.info(f"paused for {time.monotonic() - since_s:.1f} s")
-    if wish is Wish.STOP:
-        raise StopAsked
     crew.states.to(before)
+    return True
 
 
 def hold(crew: Crew) -> None:
@@ -60,5 +59,6 @@ def _next_turn(crew: Crew) -> Wish:
     crew.clock.sleep_until_ns(crew.clock.now_ns() + TURN_NS)
     if crew.has_arm:
         crew.read()
-    crew.check()
+    if not crew.leaving:
+        crew.check()
     return crew.control.wish

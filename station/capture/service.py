@@ -10,9 +10,10 @@ from __future__ import annotations
 from station.capture.control import Control, StopAsked
 from station.capture.counts import CaptureCounts
 from station.capture.crew import Crew
-from station.capture.ending import end
-from station.capture.leaving import leave
+from station.capture.ending import Unbroken, end
+from station.capture.leaving import leave, say_left
 from station.capture.live_view import LiveView
+from station.capture.pausing import heed
 from station.capture.recorder import SessionWriter
 from station.capture.servo_loop import Progress, ServoLoop
 from station.capture.snapshot import Watcher
@@ -50,7 +51,7 @@ class Capture:
         self._powered = False
 
     def run(self) -> CaptureCounts:
-        """Capture the plan to its end, or until somebody asks for a stop.
+        """Capture the plan to its end, or until somebody asks for a stop by `control`: then it returns all the same.
 
         On every exit the arm is left as `[safety] at_exit` says. The recording is then closed as "complete", or, after
         a stop or any exception, as "interrupted". A KeyboardInterrupt or SystemExit of this thread is such an
@@ -60,12 +61,14 @@ class Capture:
             StationError: the recording can't be written.
             DriverError: the bus or the camera fails, the arm doesn't arrive.
         """
-        finished, failure = False, None
+        ending, finished, failure = Unbroken("end of the capture"), False, None
         try:
             finished = self._drive()
         except BaseException as error:
             failure = error
-        return end(self._crew, self._writer, failure, complete=finished, leave=lambda: self._leave(failure, finished))
+        return end(
+            ending, self._crew, self._writer, failure, complete=finished, leave=lambda: self._leave(failure, finished)
+        )
 
     def _drive(self) -> bool:
         """Whether the whole motion was made."""
@@ -87,6 +90,7 @@ class Capture:
         crew.states.to(State.CHECKING)
         arm.connect()
         crew.journal.info(f"connected: {', '.join(arm.names)}")
+        heed(crew, holds=False)
         self._powered = True
         arm.torque_on()
         crew.states.to(State.MOVING)
@@ -94,10 +98,8 @@ class Capture:
     def _leave(self, failure: BaseException | None, finished: bool) -> None:
         crew = self._crew
         if self._powered:
-            failed = isinstance(failure, Exception)
-            leave(crew, self._plan.joints, self._plan.park, failed=failed, stopped=not finished)
+            leave(crew, self._plan.joints, self._plan.park, failure=failure, finished=finished)
             return
         if isinstance(failure, Exception):
             crew.states.to(State.FAULT)
-        crew.states.to(State.IDLE)
-        crew.journal.info("arm left: as it was found")
+        say_left(crew, "as it was found")

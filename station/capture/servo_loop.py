@@ -10,13 +10,11 @@ from drivers.errors import BusLost, NoReply
 from station.capture.approach import approach
 from station.capture.control import StopAsked, Wish
 from station.capture.crew import NS_PER_S, SERVO_RATE_HZ, TURN_NS, Crew
+from station.capture.leaving import RECONNECT_EVERY_S
 from station.capture.pausing import heed, hold
 from station.capture.states import State
 from station.logs import FloatArray
 from station.motion import Plan
-
-# A bus that was lost is looked for this often.
-RECONNECT_EVERY_S = 0.2
 
 Progress = Callable[[float, float], None]
 """Is told seconds done and in all, in the servo loop's thread."""
@@ -143,8 +141,6 @@ class ServoLoop:
             crew.read()
             self._check_stop()
         crew.check()
-        crew.tally.add("reconnects")
-        crew.journal.info("the camera is back")
         crew.states.to(State.MOVING)
         return True
 

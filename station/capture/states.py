@@ -33,7 +33,7 @@ FOLLOWS: dict[State, frozenset[State]] = {
     State.MOVING: frozenset({State.HOLDING, State.PAUSED, State.PARKING, State.FAULT, State.IDLE}),
     State.HOLDING: frozenset({State.MOVING, State.PAUSED, State.PARKING, State.FAULT, State.IDLE}),
     State.PAUSED: frozenset({State.MOVING, State.HOLDING, State.PARKING, State.FAULT, State.IDLE}),
-    State.PARKING: frozenset({State.IDLE, State.FAULT}),
+    State.PARKING: frozenset({State.PAUSED, State.IDLE, State.FAULT}),
     State.FAULT: frozenset({State.PARKING, State.IDLE}),
 }
 

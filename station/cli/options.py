@@ -26,6 +26,17 @@ Realtime = Annotated[bool, typer.Option("--realtime", help="Simulate on the real
 Simulate = Annotated[
     bool, typer.Option("--simulate", help="Emulated servos and a rendered camera, whatever the rig names.")
 ]
+View = Annotated[bool, typer.Option("--view", help="Open the rerun viewer on the capture as it goes.")]
+Headless = Annotated[
+    bool, typer.Option("--headless", help="Serve the live view on 127.0.0.1 and open no viewer: connect one yourself.")
+]
+Port = Annotated[
+    int | None,
+    typer.Option("--port", min=1, max=65535, help="Port of the live view; else a free one.", show_default=False),
+]
+DryRun = Annotated[
+    bool, typer.Option("--dry-run", help="Check the motion and foresee what the camera will see; opens no device.")
+]
 Yes = Annotated[bool, typer.Option("--yes", help="Don't ask: the arm is held, and may drop.")]
 RigArgument = Annotated[
     str, typer.Argument(metavar="RIG", help="Rig: a file, or the name of a packaged one such as demo.")

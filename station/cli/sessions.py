@@ -1,129 +1,18 @@
-"""From a motion to Figure 7: demo, run, capture, fit, compare, report, view."""
+"""From a recording to Figure 7: fit, compare, report, view."""
 
 from __future__ import annotations
 
-import json
-import signal
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from station.cli.app import app
-from station.cli.options import (
-    Commands,
-    Force,
-    Json,
-    Method,
-    MotionArgument,
-    Out,
-    Realtime,
-    RigArgument,
-    Seed,
-    SessionArgument,
-    Simulate,
-    Yes,
-)
-from station.cli.show import asking, progress, say_next, saying_what_is_left, table, warn
+from station.cli.options import Commands, Force, Json, Method, SessionArgument
+from station.cli.show import say_next, show_comparison, table, warn
 
 if TYPE_CHECKING:
-    from station.compare import Comparison
     from station.kinematics.tree import KinematicTree
-
-
-@app.command()
-def demo(
-    out: Annotated[Path, typer.Option("--out", help="Session folder; must be new or empty.")] = Path("demo"),
-    seed: Seed = None,
-    realtime: Realtime = False,
-    force: Force = False,
-    as_json: Json = False,
-) -> None:
-    """Run the whole station without hardware, to Figure 7.
-
-    Captures the packaged demo motion on an emulated arm and a rendered camera, fits the recording, and compares the
-    detected joint angles with the commands and the read-back.
-    """
-    _run("demo", "demo", out, as_json, seed=seed, realtime=realtime, force=force)
-
-
-@app.command()
-def run(
-    rig: RigArgument,
-    motion: MotionArgument,
-    out: Out,
-    seed: Seed = None,
-    simulate: Simulate = False,
-    realtime: Realtime = False,
-    force: Force = False,
-    as_json: Json = False,
-) -> None:
-    """Capture, fit, compare and report in one go."""
-    _run(rig, motion, out, as_json, seed=seed, simulate=simulate, realtime=realtime, force=force)
-
-
-def _run(rig: str, motion: str, out: Path, as_json: bool, **settings: Any) -> None:
-    from station.commands import sessions
-
-    with saying_what_is_left(out), progress() as bar:
-        comparison = sessions.run(rig, motion, out, stage=bar.stage, progress=bar.update, **settings)
-    _show_comparison(comparison, as_json)
-    say_next(
-        f"Figure 7      {out / 'report' / 'figure7.png'}",
-        f"report        {out / 'report' / 'report.html'}",
-        f"tree          {out / 'fit' / 'kinematics.json'}",
-        f"recording     station view {out}",
-    )
-
-
-@app.command()
-def capture(
-    rig: RigArgument,
-    out: Out,
-    motion: Annotated[
-        str | None,
-        typer.Argument(metavar="[MOTION]", help="Motion: a file, or a packaged one's name; none with --hand."),
-    ] = None,
-    hand: Annotated[
-        bool, typer.Option("--hand", help="Torque OFF: people move the arm, or any marked object.")
-    ] = False,
-    duration_s: Annotated[
-        float | None, typer.Option("--duration-s", min=0.1, help="How long to record with --hand; until Ctrl-C.")
-    ] = None,
-    yes: Yes = False,
-    seed: Seed = None,
-    simulate: Simulate = False,
-    realtime: Realtime = False,
-    force: Force = False,
-    as_json: Json = False,
-) -> None:
-    """Run a motion on a rig and record it into a session folder; with --hand, record what people move.
-
-    With --hand torque goes off and stays off: an arm that was held DROPS, and you are asked before. The rig needs no
-    servos then. Ctrl-C is the normal end.
-    """
-    from station.commands import capturing
-
-    if hand == (motion is not None):
-        raise typer.BadParameter("want a motion, or --hand" if not hand else "want a motion or --hand, not both")
-    if duration_s is not None and not hand:
-        raise typer.BadParameter("--duration-s goes with --hand; a motion lasts as long as it does")
-    if hand:
-        signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background job has it ignored
-    settings: dict[str, Any] = {"seed": seed, "simulate": simulate, "realtime": realtime, "force": force}
-    with saying_what_is_left(out), progress() as bar:
-        bar.stage("by hand" if hand else "capture")
-        settings["progress"] = bar.update
-        if motion is None:
-            counts = capturing.capture_by_hand(rig, out, ask=asking(yes), duration_s=duration_s, **settings)
-        else:
-            counts = capturing.capture(rig, motion, out, **settings)
-    if as_json:
-        print(json.dumps(counts.as_dict()))
-    else:
-        for name, number in counts.as_dict().items():
-            print(f"{name.replace('_', ' '):16} {number}")
-    say_next(f"fit it        station fit {out}")
 
 
 @app.command()
@@ -190,12 +79,12 @@ def fit(
 def compare(session: SessionArgument, commands_csv: Commands = None, as_json: Json = False) -> None:
     """Compare detected joint angles with commands and read-back.
 
-    Errors are after one sign and one offset a joint; lag and gain are estimated and shown beside. Writes
-    comparison.csv and comparison.json into the session's report/.
+    Errors are after one sign and one offset a joint, and the camera's lag where it is sure; each joint's own lag and
+    gain are shown beside. Writes comparison.csv and comparison.json into the session's report/.
     """
     from station.commands import reporting
 
-    _show_comparison(reporting.compare(session, commands=commands_csv), as_json)
+    show_comparison(reporting.compare(session, commands=commands_csv), as_json)
 
 
 @app.command()
@@ -211,7 +100,7 @@ def report(session: SessionArgument, commands_csv: Commands = None, as_json: Jso
 
     comparison = reporting.report(session, commands=commands_csv)
     if comparison is not None or as_json:
-        _show_comparison(comparison or Comparison(()), as_json)
+        show_comparison(comparison or Comparison(()), as_json)
     else:
         _show_tree(read_fit(session / FIT_FOLDER).tree)
     say_next(f"report        {session / 'report' / 'report.html'}")
@@ -223,22 +112,6 @@ def view(session: SessionArgument) -> None:
     from station.commands import sessions
 
     sessions.view(session)
-
-
-def _show_comparison(comparison: Comparison, as_json: bool) -> None:
-    from station.comparison_files import comparison_json
-    from station.report import summary_rows
-
-    if as_json:
-        print(comparison_json(comparison))
-        return
-    told = not comparison.joints or any(joint.against_commanded is not None for joint in comparison.joints)
-    against = "read-back and command" if told else "read-back (there are no commands)"
-    table(f"Detected against {against}, after sign and offset only", summary_rows(comparison))
-    for name in comparison.unmatched_commanded:
-        warn(f"{name}: no detected joint follows it")
-    for name in comparison.unmatched_fitted:
-        warn(f"{name}: detected, but follows no joint of the arm")
 
 
 def _show_tree(tree: KinematicTree) -> None:

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from station.compare import Comparison
 
 TABLE_WIDTH = 100
 
@@ -31,7 +35,13 @@ def table(title: str, rows: list[list[str]]) -> None:
 
 def say_next(*lines: str) -> None:
     """Say on standard error what there is now and what can be done with it."""
-    print("\n".join(lines), file=sys.stderr)
+    try:
+        print("\n".join(lines), file=sys.stderr)
+    except OSError:  # the terminal is gone, which mustn't become the command's exit code
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        for stream in (1, 2):
+            os.dup2(nowhere, stream)
+        os.close(nowhere)
 
 
 def warn(text: str) -> None:
@@ -100,6 +110,25 @@ def progress() -> Iterator[Bar]:
             bar.hide()
             raise
         bar.finish()
+
+
+def show_comparison(comparison: Comparison, as_json: bool) -> None:
+    """Print a comparison: as a table, with what it leaves open, or as JSON."""
+    from station.comparison_files import comparison_json
+    from station.report import session_lag_text, summary_rows
+
+    if as_json:
+        print(comparison_json(comparison))
+        return
+    told = not comparison.joints or any(joint.against_commanded is not None for joint in comparison.joints)
+    against = "read-back and command" if told else "read-back (there are no commands)"
+    table(f"Detected against {against}, after sign, offset and the session's lag", summary_rows(comparison))
+    if comparison.joints:
+        print(session_lag_text(comparison))
+    for name in comparison.unmatched_commanded:
+        warn(f"{name}: no detected joint follows it")
+    for name in comparison.unmatched_fitted:
+        warn(f"{name}: detected, but follows no joint of the arm")
 
 
 def asking(yes: bool) -> Callable[[str], None]:

@@ -2,17 +2,25 @@
 
 from __future__ import annotations
 
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, nullcontext
 from datetime import UTC, datetime
 from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, TypedDict, Unpack
 
 from station.commands.planning import planned_motion
-from station.formats.camera import format_camera
+from station.errors import InvalidData
+from station.formats.camera import format_camera, parse_camera
 from station.formats.markers import format_markers
 from station.motion import Plan
-from station.session import SessionDescription, check_output_folder
+from station.session import (
+    MOTION_FILE,
+    RIG_FILE,
+    Checkpoint,
+    SessionDescription,
+    check_output_folder,
+    read_status,
+)
 
 if TYPE_CHECKING:
     from station.capture.control import Control
@@ -20,11 +28,14 @@ if TYPE_CHECKING:
     from station.capture.live_view import LiveView
     from station.capture.servo_loop import Progress
     from station.capture.snapshot import Watcher
+    from station.commands.live import LiveServer
     from station.hand_motion import HandMotion
     from station.recording import RecordingWriter
     from station.releasing import Ask
     from station.rig import Rig, RigFile
 
+# On a virtual clock a session goes on so long after its last row: how long the machine took is of no account.
+VIRTUAL_GAP_S = 1.0
 # In the order of the report's facts.
 VERSIONED = ("capture-fit-station", "numpy", "scipy", "opencv-contrib-python-headless", "rerun-sdk", "dynamixel-sdk")
 
@@ -45,7 +56,7 @@ class CaptureSettings(TypedDict, total=False):
         progress: called with seconds done and in all.
         control: what people ask of the capture while it runs: pause, go on, stop.
         watch: called some times a second with what the capture is doing.
-        live: is shown frames while there is time for it.
+        live: serves a live view of the capture.
     """
 
     seed: int | None
@@ -55,7 +66,7 @@ class CaptureSettings(TypedDict, total=False):
     progress: Progress | None
     control: Control | None
     watch: Watcher | None
-    live: LiveView | None
+    live: LiveServer | None
 
 
 def capture(rig: str, motion: str, out: Path, **settings: Unpack[CaptureSettings]) -> CaptureCounts:
@@ -79,8 +90,79 @@ def record_motion(
     from station.capture.service import Capture
 
     check_output_folder(out, force=settings.get("force", False))
-    with _opened(rig_file, settings) as opened, _writer(rig_file, opened, motion_text, out, settings) as writer:
-        return Capture(opened, planned, writer, **_wishes(settings)).run()
+    with (
+        _opened(rig_file, settings) as opened,
+        _writer(rig_file, opened, motion_text, out, settings) as writer,
+        _live_view(opened, writer, out, settings) as live,
+    ):
+        return Capture(opened, planned, writer, live=live, **_wishes(settings)).run()
+
+
+def resume(session: Path, **settings: Unpack[CaptureSettings]) -> CaptureCounts:
+    """Go on with an interrupted session, also one that was killed, from its last checkpoint, into the same folder.
+
+    Rig, motion and camera are the session's own copies. The arm goes slowly from where it stands to where the leg that
+    was cut begins, and does that leg again. A session of a simulation goes on in the simulation, with its seed.
+
+    Returns the counts of what is captured now; session.json has those of the whole session.
+
+    Raises:
+        InvalidData: it was recorded by hand, or its motion.toml isn't the one that it was captured with.
+        StationError: there is nothing to go on with: no session, a complete one, or one that is being recorded.
+        DriverError: as for `capture`.
+    """
+    from station.capture.service import Capture
+    from station.recording import Recording, RecordingWriter
+    from station.view import session_blueprint
+
+    check_resumable(session)
+    about = Recording.load(session).description
+    rig_file = _own_rig(session, about)
+    planned, _ = planned_motion(rig_file, str(session / MOTION_FILE))
+    first_leg = _leg_to_go_on_from(session, planned, read_status(session).progress)
+    settings["seed"] = about.seed
+    settings["simulate"] = about.seed is not None
+    with (
+        _opened(rig_file, settings) as opened,
+        RecordingWriter.resume(
+            session,
+            now_ns=opened.clock.now_ns(),
+            since_last_s=VIRTUAL_GAP_S if opened.virtual else None,
+            blueprint=session_blueprint(about.joints),
+        ) as writer,
+        _live_view(opened, writer, session, settings) as live,
+    ):
+        return Capture(opened, planned, writer, live=live, first_leg=first_leg, **_wishes(settings)).run()
+
+
+def check_resumable(session: Path) -> None:
+    """Raise StationError unless the session is an interrupted one with a motion."""
+    if read_status(session).state == "complete":
+        raise InvalidData(f"{session} is complete: there is nothing to go on with; record into another folder")
+    if not (session / MOTION_FILE).is_file():
+        raise InvalidData(
+            f"{session} was recorded by hand: nobody knows where it is to go on; record into another folder"
+        )
+
+
+def _own_rig(session: Path, about: SessionDescription) -> RigFile:
+    """The rig as the session has it, with the camera as it was calibrated then."""
+    from station.rig import RigFile
+    from station.rig_reading import read_rig
+
+    table, text, path = read_rig(str(session / RIG_FILE))
+    return RigFile(table, text, str(path), parse_camera(about.camera, f"{session}, camera.toml"))
+
+
+def _leg_to_go_on_from(session: Path, planned: Plan, reached: Checkpoint | None) -> int:
+    if reached is None:
+        return 0
+    if reached.legs != len(planned.segments):
+        raise InvalidData(
+            f"{session / MOTION_FILE} has {len(planned.segments)} legs; the session was captured with {reached.legs}\n"
+            "put the session's own motion.toml back, or record into another folder"
+        )
+    return reached.leg
 
 
 def capture_by_hand(
@@ -106,8 +188,11 @@ def capture_by_hand(
         duration_s = duration_s or by_hand.duration_s
     with _opened(rig_file, settings, by_hand) as opened:
         take_in_hand(opened, ask)
-        with _writer(rig_file, opened, None, out, settings) as writer:
-            return HandCapture(opened, writer, duration_s=duration_s, **_wishes(settings)).run()
+        with (
+            _writer(rig_file, opened, None, out, settings) as writer,
+            _live_view(opened, writer, out, settings) as live,
+        ):
+            return HandCapture(opened, writer, duration_s=duration_s, live=live, **_wishes(settings)).run()
 
 
 def _opened(
@@ -128,7 +213,6 @@ class _Wishes(TypedDict):
     progress: Progress | None
     control: Control | None
     watch: Watcher | None
-    live: LiveView | None
 
 
 def _wishes(settings: CaptureSettings) -> _Wishes:
@@ -137,8 +221,15 @@ def _wishes(settings: CaptureSettings) -> _Wishes:
         "progress": settings.get("progress"),
         "control": settings.get("control"),
         "watch": settings.get("watch"),
-        "live": settings.get("live"),
     }
+
+
+def _live_view(
+    opened: Rig, writer: RecordingWriter, out: Path, settings: CaptureSettings
+) -> AbstractContextManager[LiveView | None]:
+    """The live view of a session, if one is wanted."""
+    server = settings.get("live")
+    return nullcontext() if server is None else server.serving(out.resolve().name, writer, opened.clock.now_ns)
 
 
 def _writer(

@@ -29,9 +29,9 @@ if TYPE_CHECKING:
     from station.recording import Recording
     from station.tracking import TrackedParts
 
-# Markers of all frames that a fit takes into account. Tracking and learning want some 7 kB of memory for each, which
+# Markers of all frames that a fit takes into account. Tracking and learning want some 10 kB of memory for each, which
 # makes 2 GB; of longer sessions frames are left out, evenly, and it is said.
-MOST_SIGHTINGS = 300_000
+MOST_SIGHTINGS = 200_000
 
 
 @dataclass(frozen=True)

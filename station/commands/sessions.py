@@ -21,13 +21,19 @@ def run(
     **settings: Unpack[CaptureSettings],
 ) -> Comparison:
     """Capture, fit, compare and report: all of a session; settings as for `capture`; raises what each of them does."""
-    say = stage or (lambda name: None)
-    say("capture")
+    if stage is not None:
+        stage("capture")
     capture(rig, motion, out, **settings)
+    return conclude(out, stage=stage)
+
+
+def conclude(session: Path, *, stage: Callable[[str], None] | None = None) -> Comparison:
+    """Fit a captured session, compare, report; raises what each of them does."""
+    say = stage or (lambda name: None)
     say("fit")
-    fit(out)
+    fit(session)
     say("report")
-    return report_compared(out, None)
+    return report_compared(session, None)
 
 
 def view(session: Path) -> None:

@@ -26,7 +26,7 @@ from station.recording.layout import (
     SERVO_QUANTITIES,
     TEXT,
 )
-from station.recording.rrd_files import Rows
+from station.recording.rows import Rows
 from station.session import SESSION_SCHEMA, SessionDescription
 
 IntArray = NDArray[np.int64]
@@ -141,11 +141,11 @@ def last_of_equal(times: IntArray) -> NDArray[np.bool_]:
 def read_observations(rows: Rows, present: Sequence[str]) -> ObservationLog:
     """The markers of each frame; columns that aren't `present` are NaN."""
     counts = rows.integers("count", np.ones(len(rows), np.int64))
-    total = int(counts.sum())
-    columns = {name: np.full((total, *shape), np.nan) for name, shape in MARKER_SHAPES.items()}
-    for name in present:
+    columns = {}
+    for name, shape in MARKER_SHAPES.items():
         read = rows.integers if name == "marker_id" else rows.floats
-        columns[name] = read(name, counts, MARKER_SHAPES[name])
+        missing = name not in present
+        columns[name] = np.full((int(counts.sum()), *shape), np.nan) if missing else read(name, counts, shape)
     return ObservationLog(seconds(rows.times), np.repeat(np.arange(len(rows)), counts), **columns)
 
 

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 
 from station.errors import StationError
 from station.recording.lock import SessionLock
 from station.recording.reader import Recording
-from station.session import SessionDescription, SessionStatus, next_piece, read_status
+from station.recording.repair import cut_torn_end
+from station.session import SessionDescription, SessionStatus, next_piece, read_status, recording_pieces
 
 # At least between the last row that was recorded and the first one after it, whatever the wall clock says, s.
 LEAST_GAP_S = 1e-3
@@ -55,7 +56,11 @@ def read_earlier(folder: Path, since_last_s: float | None) -> Earlier:
         status = read_status(folder)
         if status.state == "complete":
             raise StationError(f"{folder} is complete; there is nothing to go on with\nrecord into another folder")
-        recording = Recording.load(folder)
+        for piece in recording_pieces(folder):
+            cut_torn_end(piece)  # or it would be copied to be read
+        recording = Recording.read(folder)
+        if status.state == "recording":  # a kill left it so: what was counted last is older than what is in the file
+            status = replace(status, counts={**status.counts, **recording.counts})
         return Earlier(
             status=status,
             description=recording.description,

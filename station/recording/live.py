@@ -45,6 +45,8 @@ HOST = "127.0.0.1"
 SERVER_MEMORY = "64MiB"
 # An image is scaled down, by a whole number, until it is no wider than this.
 WIDTH_PX = 800
+# Between what is shown and what is sent to viewers, s.
+BATCH_S = 0.1
 # The server must answer within this, s; at the end, have sent all within that.
 START_S = 5.0
 END_S = 1.0
@@ -111,7 +113,7 @@ class LiveStream:
         self._shown: set[int] = set()
         self._camera = parse_camera(about.camera, "camera.toml")
         self._scale = scale_of(self._camera.size_px[0])
-        self._stream = open_stream(recording_id)
+        self._stream = open_stream(recording_id, BATCH_S)
         try:
             sink = rr.GrpcServerSink(HOST, port, server_memory_limit=SERVER_MEMORY)
             self._stream.set_sinks(sink, default_blueprint=blueprint)

@@ -12,8 +12,8 @@ from typing import TypeVar
 from rerun.chunk import LazyChunkStream, RrdReader
 from rerun.error_utils import RerunWarning
 
-from station.errors import InvalidData, InvalidFile
-from station.recording.rrd_files import Framing, copy_whole, scan_framing
+from station.errors import InvalidData, InvalidFile, StationError
+from station.recording.rrd_files import Framing, copy_last, copy_whole, scan_framing
 
 T = TypeVar("T")
 
@@ -24,14 +24,36 @@ def read_piece(path: Path, read: Callable[[LazyChunkStream], T]) -> tuple[T, tup
     Raises:
         InvalidFile: empty, damaged, or no .rrd.
     """
-    framing = scan_framing(path)
+    framing = sound_framing(path)
     try:
-        return _read_framed(path, framing, read), _notices(path, framing)
+        return _read_framed(path, framing, read), notices_on(path, framing)
     except InvalidFile:
         if not framing.complete:
             raise
     notice = f"{path.name} was read without its index, which is damaged"
     return _read_framed(path, framing.without_index(), read), (notice,)
+
+
+def sound_framing(path: Path) -> Framing:
+    """How far an .rrd can be read; of a torn one, whose last message may have been filled up with zeros, less of it.
+
+    Raises:
+        InvalidFile: the file can't be read, is empty or is no .rrd of this version.
+    """
+    framing = scan_framing(path)
+    if framing.complete or not framing.messages:
+        return framing
+    with tempfile.TemporaryDirectory(prefix="station-") as folder:
+        copy_last(path, framing, last := Path(folder) / path.name)
+        try:
+            with errors_of(path), warnings.catch_warnings():
+                warnings.simplefilter("ignore", RerunWarning)
+                reader = RrdReader(last)
+                for store in reader.recordings():
+                    reader.stream(store=store).to_chunks()
+        except InvalidFile:
+            return framing.without_last()
+    return framing
 
 
 def has_rows(path: Path) -> bool:
@@ -45,7 +67,7 @@ def has_rows(path: Path) -> bool:
 @contextmanager
 def open_piece(path: Path) -> Iterator[LazyChunkStream]:
     """The file's chunks, for as long as they are read."""
-    framing = scan_framing(path)
+    framing = sound_framing(path)
     with errors_of(path), _readable(path, framing) as source:
         yield _stream(source, framing)
 
@@ -64,6 +86,8 @@ def errors_of(path: Path) -> Iterator[None]:
         raise error if str(path) in str(error) else InvalidFile(f"{path}: {error}") from error
     except InvalidData as error:
         raise InvalidFile(f"{path} is damaged: {error}") from error
+    except StationError:
+        raise  # of what is done with the content
     except BaseException as error:
         # rerun's panics derive from BaseException, like an interrupt, which must pass.
         if not isinstance(error, Exception) and type(error).__name__ != "PanicException":
@@ -94,7 +118,8 @@ def _stream(source: Path, framing: Framing) -> LazyChunkStream:
     return reader.store().stream() if framing.complete else reader.stream()
 
 
-def _notices(path: Path, framing: Framing) -> tuple[str, ...]:
+def notices_on(path: Path, framing: Framing) -> tuple[str, ...]:
+    """What is wrong with the file, in words; nothing if it was closed."""
     if framing.complete:
         return ()
     if not framing.torn:

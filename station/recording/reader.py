@@ -47,7 +47,8 @@ from station.recording.layout import (
     SERVOS,
 )
 from station.recording.opening import errors_of, has_rows, open_piece, read_piece
-from station.recording.rrd_files import Rows
+from station.recording.repair import correct_status, repair
+from station.recording.rows import Rows
 from station.session import RECORDING_FILE, SessionDescription, recording_pieces
 
 Batches = Mapping[str, Sequence[pa.RecordBatch]]
@@ -94,11 +95,21 @@ class Recording:
     def load(cls, path: Path) -> Recording:
         """Read a session folder or an .rrd; frames are not read.
 
-        A recording that was not closed, or was cut, is read up to its last whole message, with a notice.
+        A recording that was not closed, or was cut, is read up to its last whole message, with a notice. In a session
+        folder it is repaired, unless a program still records there, and session.json is corrected.
 
         Raises:
             InvalidFile: missing, empty, damaged, no session's recording, or of a schema that isn't read.
         """
+        repaired = repair(path) if path.is_dir() else ()
+        recording = cls.read(path, repaired)
+        if path.is_dir():
+            correct_status(path, recording)
+        return recording
+
+    @classmethod
+    def read(cls, path: Path, notices: Sequence[str] = ()) -> Recording:
+        """As `load`, but nothing is repaired; `notices` are put before those of reading."""
         pieces = recording_pieces(path) if path.is_dir() else [path] if path.is_file() else []
         if not pieces:
             path = path / RECORDING_FILE if path.is_dir() else path
@@ -106,9 +117,9 @@ class Recording:
         first, *later = pieces
         pieces = [first, *filter(has_rows, later)]
         read = [read_piece(piece, _batches) for piece in pieces]
-        notices = tuple(notice for _, of_piece in read for notice in of_piece)
+        of_pieces = [notice for _, of_piece in read for notice in of_piece]
         with errors_of(first):
-            return _assembled(pieces, _together([batches for batches, _ in read]), notices)
+            return _assembled(pieces, _together([batches for batches, _ in read]), (*notices, *of_pieces))
 
     @property
     def frames(self) -> int:
@@ -121,6 +132,16 @@ class Recording:
         read_s = (self.stamps_ns[:, 1] - self.start_ns) / NS_PER_S
         times = (self.commanded.t_s, read_s, self.observations.t_s, self.servos.t_s, [e.t_s for e in self.events])
         return float(max(np.max(t_s, initial=0.0) for t_s in times))
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """How many rows there are of what session.json counts."""
+        return {
+            "frames": self.frames,
+            "commands": len(self.commanded.t_s),
+            "readings": len(self.measured.t_s),
+            "events": len(self.events),
+        }
 
     def frame_jpeg(self, row: int) -> bytes:
         """The JPEG of the frame in this row of `observations.t_s`.

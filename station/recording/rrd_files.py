@@ -1,4 +1,4 @@
-"""An .rrd below rerun: where its last whole message ends, and rows of its columns in the order of their times.
+"""An .rrd below rerun: where its last whole message ends.
 
 An .rrd (version 2) is a header of 12 bytes, "RRF2", version, options, then messages: kind (u64), length (u64), payload.
 A message of kind 0 ends it, with the index of the whole file as its payload; a trailer of 32 bytes follows. A writer
@@ -9,19 +9,11 @@ from __future__ import annotations
 
 import shutil
 import struct
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, BinaryIO
-
-import numpy as np
-import pyarrow as pa
-from numpy.typing import NDArray
+from typing import BinaryIO
 
 from station.errors import InvalidFile
-from station.logs import FloatArray
-
-IntArray = NDArray[np.int64]
 
 MAGIC = b"RRF2"
 HEADER_BYTES = 12
@@ -29,8 +21,9 @@ TRAILER_MAGIC = b"RRF2FOOT"
 TRAILER_BYTES = 32
 MESSAGE = struct.Struct("<QQ")
 END_KIND = 0
+STORE_KIND = 1
 # Kinds of message: end, store info, chunk, command to activate a blueprint.
-KINDS = frozenset({END_KIND, 1, 2, 3})
+KINDS = frozenset({END_KIND, STORE_KIND, 2, 3})
 
 
 @dataclass(frozen=True)
@@ -43,6 +36,8 @@ class Framing:
         messages: how many there are, the end included.
         body: bytes up to the end of the last one that isn't the end with its index.
         complete: whether the file was closed: it has its end, and with it the index.
+        last: where the last message that isn't the end begins.
+        stores: where the messages begin and end that tell which recording what follows is of.
     """
 
     size: int
@@ -50,6 +45,8 @@ class Framing:
     messages: int
     body: int
     complete: bool
+    last: int
+    stores: tuple[tuple[int, int], ...]
 
     @property
     def torn(self) -> bool:
@@ -59,6 +56,10 @@ class Framing:
     def without_index(self) -> Framing:
         """The same file as if it had never been closed."""
         return replace(self, whole=self.body, complete=False)
+
+    def without_last(self) -> Framing:
+        """The same file as if its last message were torn."""
+        return replace(self, whole=self.last, body=self.last, messages=self.messages - 1)
 
 
 def scan_framing(path: Path) -> Framing:
@@ -82,18 +83,21 @@ def _scan(file: BinaryIO, path: Path) -> Framing:
         raise InvalidFile(f"{path} is empty; nothing was recorded in it")
     if len(header) < HEADER_BYTES or not header.startswith(MAGIC):
         raise InvalidFile(f"{path} is no recording: it starts with {header[:4]!r}, an .rrd with {MAGIC!r}")
-    whole, body, messages = HEADER_BYTES, HEADER_BYTES, 0
+    whole, body, messages, last = HEADER_BYTES, HEADER_BYTES, 0, HEADER_BYTES
+    stores: list[tuple[int, int]] = []
     while len(head := file.read(MESSAGE.size)) == MESSAGE.size:
         kind, length = MESSAGE.unpack(head)
         end = whole + MESSAGE.size + length
         if kind not in KINDS or end > size or (kind == END_KIND and not _ends_with_trailer(file, end, size)):
             break
-        whole, messages = end, messages + 1
+        start, whole, messages = whole, end, messages + 1
         if kind == END_KIND:
-            return Framing(size, whole, messages, body, complete=True)
-        body = end
+            return Framing(size, whole, messages, body, True, last, tuple(stores))
+        body, last = end, start
+        if kind == STORE_KIND:
+            stores.append((start, end))
         file.seek(end)
-    return Framing(size, whole, messages, body, complete=False)
+    return Framing(size, whole, messages, body, False, last, tuple(stores))
 
 
 def _ends_with_trailer(file: BinaryIO, end: int, size: int) -> bool:
@@ -103,87 +107,16 @@ def _ends_with_trailer(file: BinaryIO, end: int, size: int) -> bool:
     return end < size and len(trailer) == TRAILER_BYTES and TRAILER_MAGIC in trailer
 
 
+def copy_last(path: Path, framing: Framing, target: Path) -> None:
+    """Copy the file's last message to `target`, as a file of its own."""
+    with path.open("rb") as file, target.open("wb") as copy:
+        for start, end in ((0, HEADER_BYTES), *framing.stores, (framing.last, framing.body)):
+            file.seek(start)
+            copy.write(file.read(end - start))
+
+
 def copy_whole(path: Path, whole: int, target: Path) -> None:
     """Copy the first `whole` bytes of the file to `target`."""
     shutil.copyfile(path, target)
     with target.open("r+b") as file:
         file.truncate(whole)
-
-
-ROW_ID = "rerun.controls.RowId"
-
-
-class Rows:
-    """All rows of one entity, in the order of a timeline and, at equal times, of logging.
-
-    Args:
-        batches: the entity's chunks, in any order; chunks without the timeline or a column are refused.
-        timeline: an index column, int64 or nanoseconds.
-        columns: index and component columns to keep.
-
-    Raises:
-        InvalidFile: a chunk lacks a column.
-    """
-
-    def __init__(self, batches: Sequence[pa.RecordBatch], timeline: str, columns: Sequence[str]) -> None:
-        for batch in batches:
-            if missing := {timeline, ROW_ID, *columns} - set(batch.schema.names):
-                raise InvalidFile(f"rows without {', '.join(sorted(missing))}")
-        self._columns = {name: _joined(batches, name) for name in {timeline, *columns}}
-        times = self._integers(timeline)
-        ids = np.frombuffer(b"".join(_joined(batches, ROW_ID).to_pylist()), dtype=">u8").reshape(-1, 2)
-        self._order = np.lexsort((ids[:, 1], ids[:, 0], times))
-        self.times: IntArray = times[self._order]
-
-    def __len__(self) -> int:
-        return len(self._order)
-
-    def _integers(self, name: str) -> IntArray:
-        column = self._columns[name]
-        if not len(column):
-            return np.zeros(0, np.int64)
-        return column.cast(pa.int64()).to_numpy(zero_copy_only=False)
-
-    def index(self, name: str) -> IntArray:
-        """(N,) values of an index column."""
-        return self._integers(name)[self._order]
-
-    def _lists(self, name: str) -> pa.ListArray:
-        return self._columns[name].take(pa.array(self._order))
-
-    def lengths(self, name: str) -> IntArray:
-        """(N,) how many values a component column has in each row."""
-        return _lengths(self._lists(name)) if len(self) else np.zeros(0, np.int64)
-
-    def texts(self, name: str) -> list[str]:
-        """N texts of a component column, one a row; empty where there is none."""
-        return [(texts or [""])[0] for texts in self._lists(name).to_pylist()]
-
-    def floats(self, name: str, counts: IntArray, shape: tuple[int, ...] = ()) -> FloatArray:
-        """(sum(counts), *shape) values of a component column whose rows have `counts` (N,) such items each."""
-        return self._numbers(name, counts, shape, np.float64)
-
-    def integers(self, name: str, counts: IntArray, shape: tuple[int, ...] = ()) -> IntArray:
-        """The same of whole numbers."""
-        return self._numbers(name, counts, shape, np.int64)
-
-    def _numbers(self, name: str, counts: IntArray, shape: tuple[int, ...], dtype: type) -> NDArray[Any]:
-        total = int(counts.sum())
-        if not len(self):
-            return np.zeros((total, *shape), dtype)
-        lists = self._lists(name)
-        if not np.array_equal(_lengths(lists), counts * int(np.prod(shape))):
-            raise InvalidFile(f"rows of {name} have other lengths than {shape} for each item")
-        flat = lists.flatten().to_numpy(zero_copy_only=False)
-        if flat.dtype != dtype:
-            raise InvalidFile(f"{name} has numbers of type {flat.dtype}; want {np.dtype(dtype)}")
-        return flat.reshape(total, *shape)
-
-
-def _joined(batches: Sequence[pa.RecordBatch], name: str) -> Any:
-    columns = [batch.column(name) for batch in batches]
-    return pa.chunked_array(columns).combine_chunks() if columns else pa.array([], pa.null())
-
-
-def _lengths(lists: pa.ListArray) -> IntArray:
-    return lists.value_lengths().fill_null(0).to_numpy(zero_copy_only=False).astype(np.int64)

@@ -26,10 +26,11 @@ FLUSH_PERIOD_S = 0.5
 FLUSH_TIMEOUT_S = 5.0
 # Waiting for the end of a file that could not be written, s.
 END_TIMEOUT_S = 2.0
-# rerun's batcher writes an entity when it has this much, and all of them at each tick. Were images alone to reach the
-# limit before each tick, nothing else would ever be written; hence far more than a tick's worth of images.
+# rerun's batcher writes an entity when it has this much, and all of them when they are flushed. Were images alone to
+# reach the limit before each flush, nothing else would ever be written; hence far more than a flush's worth of images.
 BATCH_BYTES = 64 << 20
-BATCH_TICK_S = 0.5
+# Its own tick is left out, or there would be twice as many chunks to read.
+BATCH_TICK_S = 3600.0
 
 
 @contextmanager
@@ -56,15 +57,17 @@ def check_rerun() -> None:
         raise StationError("RERUN=off is set in the environment, so nothing would be recorded; unset RERUN")
 
 
-def open_stream(recording_id: str, tick_s: float = BATCH_TICK_S) -> rr.RecordingStream:
+def open_stream(recording_id: str, tick_s: float = BATCH_TICK_S, *, send_properties: bool = True) -> rr.RecordingStream:
     """A stream of this recording in rerun's strict mode, which batches for `tick_s`.
 
-    Raises StationError where the environment disables rerun.
+    With `send_properties` it notes when it began itself. Raises StationError where the environment disables rerun.
     """
     check_rerun()
     rr.set_strict_mode(True)  # otherwise bad data is dropped with a warning
     batching = rr.ChunkBatcherConfig(flush_tick=tick_s, flush_num_bytes=BATCH_BYTES)
-    stream = rr.RecordingStream(APPLICATION, recording_id=recording_id, batcher_config=batching)
+    stream = rr.RecordingStream(
+        APPLICATION, recording_id=recording_id, batcher_config=batching, send_properties=send_properties
+    )
     if not rr.is_enabled(stream):
         raise StationError("rerun is disabled, so nothing would be recorded; look for RERUN in the environment")
     return stream
@@ -85,6 +88,7 @@ class RrdStream:
     Args:
         start_ns: time 0 of the file, on the clock of the stamps that are logged.
         blueprint: the viewer's layout, kept in the file.
+        send_properties: note in the file when it was begun.
 
     Raises:
         StationError: the file can't be written.
@@ -97,12 +101,13 @@ class RrdStream:
         start_ns: int,
         *,
         blueprint: Blueprint | None = None,
+        send_properties: bool = True,
     ) -> None:
         self._path, self._start_ns = path, start_ns
         self._failure: StationError | None = None
         self._ending = threading.Event()
         self._flushing = threading.Lock()
-        self._stream = open_stream(recording_id)
+        self._stream = open_stream(recording_id, send_properties=send_properties)
         self._timer = threading.Thread(target=self._flush_by_the_clock, name="recording flush", daemon=True)
         try:
             with written(path):
@@ -146,11 +151,13 @@ class RrdStream:
                 raise
 
     def end(self) -> None:
-        """Finish the file.
+        """Finish the file; once.
 
         For a file that failed rerun may wait here for ever, and once more when the program ends: then a thread waits in
         our place, which keeps the stream, and rerun is not asked to finish anything at the end.
         """
+        if self._ending.is_set():
+            return
         self._ending.set()
         if self._timer.ident is not None:
             self._timer.join()

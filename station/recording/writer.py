@@ -10,6 +10,7 @@ import os
 import uuid
 from collections import Counter
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -24,18 +25,23 @@ from station.errors import OutputExists, StationError
 from station.perception.observations import FrameMarkers
 from station.recording.earlier import Earlier, read_earlier
 from station.recording.lock import SessionLock
+from station.recording.reader import Recording
+from station.recording.repair import join_pieces
 from station.recording.rrd_stream import FLUSH_TIMEOUT_S, RrdStream, check_rerun, written
 from station.recording.session_rows import SessionRows
 from station.session import (
     MOTION_FILE,
     RIG_FILE,
+    STATUS_FILE,
     Checkpoint,
     SessionDescription,
     SessionStart,
     SessionStatus,
     clear_session,
+    drop_reserve,
     piece_file,
     recording_pieces,
+    reserve_status,
     write_status,
 )
 
@@ -88,7 +94,7 @@ class RecordingWriter:
         self._lock = earlier.lock if earlier else SessionLock(folder)
         try:
             self._status = self._gone_on(earlier) if earlier else self._begun(force)
-            write_status(folder, self._status)
+            self._write_status()
             self._open(blueprint)
         except BaseException:
             self._lock.release()
@@ -130,6 +136,11 @@ class RecordingWriter:
     def recording_id(self) -> str:
         """Names the recording in the viewer and in session.json."""
         return self._status.recording_id
+
+    @property
+    def description(self) -> SessionDescription:
+        """What the session is of."""
+        return self._about
 
     @property
     def start_ns(self) -> int:
@@ -199,8 +210,7 @@ class RecordingWriter:
         self._check_open()
         self._stream.flush()
         self._status = replace(self._status, progress=Checkpoint(leg, legs), counts=self._total(counts))
-        with written(self._folder / "session.json"):
-            write_status(self._folder, self._status)
+        self._write_status()
 
     def close(self, state: str, counts: Mapping[str, int] | None = None) -> None:
         """Finish the file and session.json, with a state, "complete" or "interrupted", and counts to add; once.
@@ -210,18 +220,17 @@ class RecordingWriter:
         if self._closed:
             return
         self._closed = True
-        status = replace(self._status, state="interrupted", ended=datetime.now(UTC), counts=self._total(counts))
+        self._status = replace(self._status, state="interrupted", ended=datetime.now(UTC), counts=self._total(counts))
         try:
             self._stream.flush()
-            status = replace(status, state=state)
+            self._status = replace(self._status, state=state)
+        except StationError:
+            self._stream.end()
+            self._status = replace(self._status, counts=self._written_counts())
+            raise
         finally:
             self._stream.end()
-            try:
-                with written(self._path):
-                    _sync(self._path)
-                    write_status(self._folder, status)
-            finally:
-                self._lock.release()
+            self._leave()
 
     def __enter__(self) -> RecordingWriter:
         return self
@@ -273,6 +282,37 @@ class RecordingWriter:
         except BaseException:
             self._stream.end()
             raise
+
+    def _written_counts(self) -> Mapping[str, int]:
+        """The counts of a recording that failed: what is in its files, and how many frames are not."""
+        counts = self._status.counts
+        with suppress(StationError):
+            written = Recording.read(self._folder).counts
+            return {**counts, **written, "unwritten_frames": counts["frames"] - written["frames"]}
+        return counts
+
+    def _leave(self) -> None:
+        """Have session.json say what became of the session, join its pieces, and let others into the folder."""
+        try:
+            with written(self._path):
+                _sync(self._path)
+        except StationError:
+            self._status = replace(self._status, state="interrupted")
+            raise
+        finally:
+            try:
+                self._write_status()
+                drop_reserve(self._folder)
+                if self._earlier:
+                    with suppress(OSError, StationError):  # whoever opens it next tries again, and is told
+                        join_pieces(self._folder)
+            finally:
+                self._lock.release()
+
+    def _write_status(self) -> None:
+        with written(self._folder / STATUS_FILE):
+            write_status(self._folder, self._status)
+        reserve_status(self._folder)
 
     def _total(self, counts: Mapping[str, int] | None) -> Mapping[str, int]:
         """The session's counts: this program's, and those of the ones before."""

@@ -36,7 +36,7 @@ JOINTS = ("base_pan", "shoulder", "elbow", "wrist")
 SAME_DEG = 0.05
 FLAT_MB = 10.0
 # What a fit is said to take at most (docs/python.md), MB.
-FIT_MB = 3000.0
+FIT_MB = 2500.0
 STATION = (sys.executable, "-c", "from station.cli import main; main()")
 
 

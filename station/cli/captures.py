@@ -1,0 +1,174 @@
+"""What drives an arm or watches one: demo, run, capture."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from station.cli.app import app
+from station.cli.options import (
+    DryRun,
+    Force,
+    Headless,
+    Json,
+    MotionArgument,
+    Out,
+    Port,
+    Realtime,
+    RigArgument,
+    Seed,
+    Simulate,
+    View,
+    Yes,
+)
+from station.cli.show import asking, progress, say_next, show_comparison
+
+if TYPE_CHECKING:
+    from station.commands.live import LiveServer
+
+
+@app.command()
+def demo(
+    out: Annotated[Path, typer.Option("--out", help="Session folder; must be new or empty.")] = Path("demo"),
+    seed: Seed = None,
+    realtime: Realtime = False,
+    view: View = False,
+    headless: Headless = False,
+    port: Port = None,
+    force: Force = False,
+    as_json: Json = False,
+) -> None:
+    """Run the whole station without hardware, to Figure 7.
+
+    Captures the packaged demo motion on an emulated arm and a rendered camera, fits the recording, and compares the
+    detected joint angles with the commands and the read-back.
+    """
+    with live_view(view=view, headless=headless, port=port) as live:
+        _run("demo", "demo", out, as_json, live, seed=seed, realtime=realtime, force=force)
+
+
+@app.command()
+def run(
+    rig: RigArgument,
+    motion: MotionArgument,
+    out: Out,
+    seed: Seed = None,
+    simulate: Simulate = False,
+    realtime: Realtime = False,
+    view: View = False,
+    headless: Headless = False,
+    port: Port = None,
+    dry_run: DryRun = False,
+    force: Force = False,
+    as_json: Json = False,
+) -> None:
+    """Capture, fit, compare and report in one go."""
+    if dry_run:
+        _show_dry_run(rig, motion, out, simulate=simulate, force=force, as_json=as_json)
+        return
+    with live_view(view=view, headless=headless, port=port) as live:
+        _run(rig, motion, out, as_json, live, seed=seed, simulate=simulate, realtime=realtime, force=force)
+
+
+def _run(rig: str, motion: str, out: Path, as_json: bool, live: LiveServer | None, **settings: Any) -> None:
+    from station.cli.attending import attended
+    from station.commands import capturing, sessions
+
+    with attended(out, live) as attendant:
+        capturing.capture(rig, motion, out, live=live, **attendant.settings(), **settings)
+    with progress() as bar:
+        comparison = sessions.conclude(out, stage=bar.stage)
+    show_comparison(comparison, as_json)
+    say_next(
+        f"Figure 7      {out / 'report' / 'figure7.png'}",
+        f"report        {out / 'report' / 'report.html'}",
+        f"tree          {out / 'fit' / 'kinematics.json'}",
+        f"recording     station view {out}",
+    )
+
+
+@app.command()
+def capture(
+    rig: RigArgument,
+    out: Out,
+    motion: Annotated[
+        str | None,
+        typer.Argument(metavar="[MOTION]", help="Motion: a file, or a packaged one's name; none with --hand."),
+    ] = None,
+    hand: Annotated[
+        bool, typer.Option("--hand", help="Torque OFF: people move the arm, or any marked object.")
+    ] = False,
+    duration_s: Annotated[
+        float | None, typer.Option("--duration-s", min=0.1, help="How long to record with --hand; until Ctrl-C.")
+    ] = None,
+    yes: Yes = False,
+    seed: Seed = None,
+    simulate: Simulate = False,
+    realtime: Realtime = False,
+    view: View = False,
+    headless: Headless = False,
+    port: Port = None,
+    dry_run: DryRun = False,
+    force: Force = False,
+    as_json: Json = False,
+) -> None:
+    """Run a motion on a rig and record it into a session folder; with --hand, record what people move.
+
+    Ctrl-C holds the arm at once and asks whether to go on; pressed again, or where nobody can be asked, it ends the
+    capture and leaves the arm as the rig declares.
+
+    With --hand torque goes off and stays off: an arm that was held DROPS, and you are asked before. The rig needs no
+    servos then. Ctrl-C is the normal end.
+    """
+    from station.cli.attending import attended
+    from station.commands import capturing
+
+    if hand == (motion is not None):
+        raise typer.BadParameter("want a motion, or --hand" if not hand else "want a motion or --hand, not both")
+    if duration_s is not None and not hand:
+        raise typer.BadParameter("--duration-s goes with --hand; a motion lasts as long as it does")
+    if dry_run:
+        if motion is None:
+            raise typer.BadParameter("--dry-run goes with a motion: what a hand will do nobody knows")
+        _show_dry_run(rig, motion, out, simulate=simulate, force=force, as_json=as_json)
+        return
+    settings: dict[str, Any] = {"seed": seed, "simulate": simulate, "realtime": realtime, "force": force}
+    with live_view(view=view, headless=headless, port=port) as live, attended(out, live, by_hand=hand) as attendant:
+        settings |= {"live": live, **attendant.settings()}
+        if motion is None:
+            counts = capturing.capture_by_hand(rig, out, ask=asking(yes), duration_s=duration_s, **settings)
+        else:
+            counts = capturing.capture(rig, motion, out, **settings)
+    if as_json:
+        print(json.dumps(counts.as_dict()))
+    else:
+        for name, number in counts.as_dict().items():
+            print(f"{name.replace('_', ' '):16} {number}")
+
+
+def _show_dry_run(rig: str, motion: str, out: Path, *, simulate: bool, force: bool, as_json: bool) -> None:
+    from station.cli.plan import show_dry_run
+
+    show_dry_run(rig, motion, out, simulate=simulate, force=force, as_json=as_json)
+
+
+@contextmanager
+def live_view(*, view: bool, headless: bool, port: int | None) -> Iterator[LiveServer | None]:
+    """The live view that the options ask for; None without one. Raises typer.BadParameter where they disagree."""
+    if view and headless:
+        raise typer.BadParameter("want --view or --headless, not both: a viewer that is opened is served, too")
+    if not view and not headless:
+        if port is not None:
+            raise typer.BadParameter("--port goes with --view or --headless")
+        yield None
+        return
+    from station.commands.live import live_server
+
+    with live_server(port, opens=view) as server:
+        say_next(f"live view     rerun {server.address}")
+        yield server
