@@ -28,7 +28,7 @@ from station.callable_module import CallableModule
 from station.errors import InvalidData
 from station.kinematics.joints import JOINT_TYPES
 from station.logs import FloatArray, JointLog, frozen_floats
-from station.pairing import MEASURED_LAG_SPAN_S, Pair, estimate_clock_lag, match_joints, moved, references_of
+from station.pairing import Pair, estimate_clock_lag, match_joints, moved, references_of
 from station.session_lag import UNKNOWN, SessionLag, estimate_session_lag, readback_slopes
 
 UNIT_SCALE = {"rad": 180.0 / np.pi, "m": 1e3}
@@ -177,12 +177,16 @@ def compare(
     clock = None if same_clock or not usable or not told.joints else estimate_clock_lag(told, usable)
     clock_lag_s = 0.0 if clock is None else clock[0]
     pairs = match_joints(told, [reference.delayed(clock_lag_s) for reference in references])
-    lag = estimate_session_lag(readback_slopes(detected, pairs)) if clock is None else SessionLag(*clock)
+    slopes = readback_slopes(detected, pairs)
+    lag = estimate_session_lag(list(slopes.values())) if clock is None else SessionLag(*clock)
     fitted, followed = {pair.fitted for pair in pairs}, {pair.reference.name for pair in pairs}
     unfollowed = [reference for reference in references if reference.name not in followed]
     at_rest = tuple(reference.name for reference in unfollowed if not moved(reference, commanded, measured))
     return Comparison(
-        tuple(_joint_comparison(pair, detected, types[pair.fitted], lag, clock_lag_s) for pair in pairs),
+        tuple(
+            _joint_comparison(pair, detected, types[pair.fitted], lag, clock_lag_s, slopes.get(pair.reference.name))
+            for pair in pairs
+        ),
         tuple(name for name in detected.joints if name not in fitted),
         tuple(reference.name for reference in unfollowed if reference.name not in at_rest),
         *(clock or (None, None)),
@@ -208,7 +212,7 @@ def _check_kinds(**logs: object) -> None:
 
 
 def _joint_comparison(
-    pair: Pair, detected: JointLog, type_name: str, lag: SessionLag, clock_lag_s: float
+    pair: Pair, detected: JointLog, type_name: str, lag: SessionLag, clock_lag_s: float, behind_readback: Slope | None
 ) -> JointComparison:
     """`pair.reference` is on the detection's clock already, delayed by `clock_lag_s`; the camera's lag is not in it."""
     t_s, given = detected.t_s, pair.reference
@@ -217,11 +221,12 @@ def _joint_comparison(
     offset, offset_before = (_offset(each.primary(t_s) - signed, each.has_readback) for each in (reference, given))
     std = np.full(len(t_s), np.nan) if detected.std is None else detected.std[:, detected.joints.index(pair.fitted)]
 
-    def against(sampler: Sampler, before: Sampler, smooth: Sampler, span_s: float) -> Agreement | None:
-        slope = estimate_slope(t_s, signed, smooth, span_s=span_s)
+    def against(sampler: Sampler, before: Sampler, slope: Slope) -> Agreement | None:
         shifted = replace(slope, lag_s=slope.lag_s + clock_lag_s)
         rmse_before = _rms(signed + offset_before - before(t_s))
         return _agreement(signed + offset - sampler(t_s), shifted, offset, rmse_before)
+
+    behind_command = estimate_slope(t_s, signed, given.commanded_smooth, span_s=COMMANDED_LAG_SPAN_S)
 
     return JointComparison(
         joint=given.name,
@@ -234,10 +239,8 @@ def _joint_comparison(
         measured=reference.measured(t_s),
         detected=signed + offset,
         detected_std=std,
-        against_commanded=against(
-            reference.commanded, given.commanded, given.commanded_smooth, span_s=COMMANDED_LAG_SPAN_S
-        ),
-        against_measured=against(reference.measured, given.measured, given.measured, span_s=MEASURED_LAG_SPAN_S),
+        against_commanded=against(reference.commanded, given.commanded, behind_command),
+        against_measured=behind_readback and against(reference.measured, given.measured, behind_readback),
     )
 
 

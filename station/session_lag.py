@@ -14,7 +14,7 @@ WORST_STD_S = 0.005
 # Standard deviations. A lag nearer to none than this can't be told from none, and taking it off would only add noise.
 LEAST_SIGMAS = 2.0
 
-NO_READBACK = "there is no read-back: against steps, a lag is the servos' own"
+NO_READBACK = "there is no read-back, and behind steps it is the servos' own"
 STILL = "no joint moved enough to tell it"
 
 
@@ -41,15 +41,15 @@ class SessionLag:
 UNKNOWN = SessionLag(None, None, STILL)
 
 
-def readback_slopes(detected: JointLog, pairs: Sequence[Pair]) -> list[Slope]:
-    """Lag and gain of each pair behind its read-back, where it has one."""
-    return [
-        estimate_slope(
+def readback_slopes(detected: JointLog, pairs: Sequence[Pair]) -> dict[str, Slope]:
+    """Lag and gain of each pair behind its read-back, where it has one, by the reference's name."""
+    return {
+        pair.reference.name: estimate_slope(
             detected.t_s, pair.sign * detected.state(pair.fitted), pair.reference.measured, span_s=MEASURED_LAG_SPAN_S
         )
         for pair in pairs
         if pair.reference.has_readback
-    ]
+    }
 
 
 def estimate_session_lag(slopes: Sequence[Slope]) -> SessionLag:
@@ -61,8 +61,7 @@ def estimate_session_lag(slopes: Sequence[Slope]) -> SessionLag:
         return UNKNOWN
     lag_s, std_s = shared
     if std_s > WORST_STD_S:
-        why_not = f"its standard deviation is {1e3 * std_s:.0f} ms, over {1e3 * WORST_STD_S:.0f} ms"
-        return SessionLag(lag_s, std_s, why_not)
+        return SessionLag(lag_s, std_s, f"its std is over {1e3 * WORST_STD_S:.0f} ms")
     if abs(lag_s) < LEAST_SIGMAS * std_s:
-        return SessionLag(lag_s, std_s, f"it can't be told from none ({1e3 * lag_s:.1f} ± {1e3 * std_s:.1f} ms)")
+        return SessionLag(lag_s, std_s, "it can't be told from none")
     return SessionLag(lag_s, std_s)

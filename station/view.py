@@ -60,7 +60,10 @@ class Viewer:
 
     def __init__(self, arguments: Sequence[str], *, headless: bool = False) -> None:
         if not headless and sys.platform == "linux" and not any(map(os.environ.get, ("DISPLAY", "WAYLAND_DISPLAY"))):
-            raise StationError("no screen to open the viewer on (DISPLAY isn't set)\nopen it on a machine that has one")
+            raise StationError(
+                "no screen to open the viewer on (DISPLAY isn't set)\n"
+                "open it on a machine that has one; a capture is served for that with --headless"
+            )
         self.port = free_port()
         self._home = tempfile.TemporaryDirectory(prefix="station-viewer-", ignore_cleanup_errors=True)
         self._output = Path(self._home.name) / "output.txt"

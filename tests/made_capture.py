@@ -61,7 +61,14 @@ class MadeCapture:
             self._tell(State.MOVING, "step 1 of 3")
             time.sleep(TURN_S)
         self.enter(State.PARKING, "parking")
-        time.sleep(PARKING_S)
+        deadline_s = time.monotonic() + PARKING_S
+        while time.monotonic() < deadline_s:
+            if control.wish is Wish.PAUSE:
+                self.enter(State.PAUSED, "parking")
+                while control.wait_while_paused(TURN_S) is Wish.PAUSE:
+                    self._tell(State.PAUSED, "parking")
+                self.enter(State.PARKING, "parking")
+            time.sleep(TURN_S)
         self.enter(State.IDLE, "arm left: park-then-release")
 
 

@@ -62,7 +62,8 @@ def test_what_was_pressed_before_the_question_answers_nothing(tmp_path: Path):
         assert states(tmp_path) == ["checking", "moving", "paused"]
 
 
-def test_nothing_hurries_a_capture_that_stops(tmp_path: Path):
+@pytest.mark.parametrize("answer", ["\n", CTRL_C])
+def test_on_its_way_to_be_left_the_arm_is_held_too_and_then_left_as_declared(tmp_path: Path, answer: str):
     with on_terminal(tmp_path) as terminal:
         terminal.wait_for("MOVING")
         terminal.press(CTRL_C)
@@ -70,8 +71,10 @@ def test_nothing_hurries_a_capture_that_stops(tmp_path: Path):
         terminal.press(CTRL_C)
         terminal.wait_until(lambda: "parking" in states(tmp_path))
         terminal.press(CTRL_C)
-        terminal.wait_for("cut the servos' power")
-        terminal.press(CTRL_C)
+        terminal.wait_for("held on its way")
+        time.sleep(1.0)
+        assert states(tmp_path)[-2:] == ["parking", "paused"]
+        terminal.press(answer)
         assert terminal.end() == 130
         assert states(tmp_path)[-2:] == ["parking", "idle"]
 

@@ -10,6 +10,7 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
+from station.capture.by_hand import HandCapture, take_in_hand
 from station.capture.control import Control, Wish
 from station.capture.service import Capture
 from station.capture.snapshot import Snapshot
@@ -155,3 +156,28 @@ def test_a_wish_reaches_a_waiting_thread_and_a_stop_stays() -> None:
     assert control.wish is Wish.PAUSE
     control.resume()
     assert control.wish is Wish.STOP
+
+
+def test_by_hand_a_pause_is_left_out_and_a_stop_is_the_normal_end(tmp_path: Path) -> None:
+    with lab(tmp_path, "demo", QUIET) as bench:
+        control, done = Control(), list[float]()
+        take_in_hand(bench.rig, lambda text: None)
+
+        def progress(done_s: float, total_s: float) -> None:
+            done.append(done_s)
+            if len(done) == 50:
+                control.pause()
+            elif done_s > 3.0:
+                control.stop()
+
+        def watch(shot: Snapshot) -> None:
+            if shot.state == State.PAUSED and control.wish is Wish.PAUSE:
+                bench.pass_s(5.0)
+                control.resume()
+
+        HandCapture(bench.rig, cast(Any, bench.writer), control=control, progress=progress, watch=watch).run()
+        writer = bench.writer
+        assert writer.state == "complete" and states_of(bench) == ["checking", "moving", "paused", "moving", "idle"]
+        assert writer.counts["pauses"] == 1 and 148 <= writer.counts["readings"] <= 153  # of 3 s, the pause left out
+        assert writer.at_s("stopped") - writer.at_s("moved by hand") == pytest.approx(8.0, abs=0.2)
+        assert not any(bench.each("torque_enable"))

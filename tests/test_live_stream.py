@@ -8,7 +8,6 @@ import socket
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,6 +15,7 @@ import pytest
 from station.errors import StationError
 from station.recording.live import HOST, LiveStream, check_live_port, free_port, live_address, scale_of
 from station.view import Viewer, session_blueprint
+from tests.listening import listening
 from tests.made_sessions import JOINTS, START_NS, describe, make_frames
 
 
@@ -36,22 +36,6 @@ def show(stream: LiveStream, count: int) -> None:
         stream.show_frame(frame.index, frame.t_ns, frame.image, frame.markers)
         stream.show_readings(np.array([frame.request_ns]), frame.reading[None], frame.command[None])
         stream.show_event(frame.t_ns, "INFO", f"frame {frame.index}")
-
-
-def listening(pid: int | str = "self") -> set[str]:
-    """The addresses that a process listens on, IPv4 and IPv6, as the kernel writes them."""
-    inodes = set()
-    for link in Path(f"/proc/{pid}/fd").iterdir():
-        try:
-            inodes.add(link.readlink().name)
-        except OSError:
-            continue  # closed meanwhile
-    rows = [
-        line.split()
-        for table in ("tcp", "tcp6")
-        for line in Path(f"/proc/{pid}/net/{table}").read_text(encoding="ascii").splitlines()[1:]
-    ]
-    return {row[1] for row in rows if row[3] == "0A" and f"socket:[{row[9]}]" in inodes}
 
 
 def test_the_live_view_listens_on_this_machine_only():

@@ -20,7 +20,7 @@ RUN_WHOLE_ELSEWHERE = ("demo", "openmanipulator_x")
 
 
 def test_every_rig_has_a_motion_of_its_name():
-    assert packaged_names("motions") == NAMES
+    assert set(NAMES) <= set(packaged_names("motions"))
 
 
 @pytest.mark.parametrize("name", NAMES)

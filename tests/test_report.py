@@ -21,9 +21,10 @@ from station.comparison_files import write_files
 from station.fit.result import Fit
 from station.kinematics.tree import Joint, KinematicTree
 from station.logs import JointLog
-from station.report import Material, Timing, figure7, save_figure, summary_rows, tree_figure, tree_rows, write_report
+from station.report import Material, figure7, save_figure, summary_rows, tree_figure, tree_rows, write_report
 from station.report.drawings import COLUMN_PT, TOLERANCE_PT, compact, svg
 from station.report.style import DARK, LIGHT
+from tests.made_reports import timing
 
 NAMES = ("base_pan", "shoulder", "elbow", "wrist")
 CHAIN = ("base", "link1", "link2", "link3", "hand")
@@ -244,15 +245,6 @@ def test_the_same_data_makes_the_same_bytes_whatever_a_persons_matplotlibrc_says
 
 FACTS = {"state": "complete", "rig": "demo", "seed": "0"}
 WARNING = "the camera trails the servos by 37.0 ms: set latency_s in [camera] <script>alert(1)</script>"
-
-
-def timing(frames: int, lost: tuple[int, ...] = ()) -> Timing:
-    """Frames at 30 a second and readings at 50, with jitter; some frames are lost."""
-    rng = np.random.default_rng(3)
-    index = np.delete(np.arange(frames), lost)
-    read_s = np.arange(0.0, frames / 30, 0.02) + rng.uniform(0, 0.002, -(-frames * 50 // 30))
-    frame_s = index / 30 + rng.uniform(0, 0.004, len(index))
-    return Timing(frame_s, index, read_s, read_s + rng.uniform(0.003, 0.006, len(read_s)), latency_s=0.016, fps=30.0)
 
 
 @pytest.fixture(scope="module")

@@ -44,10 +44,11 @@ def leave(
     if safety.at_exit == "park-then-release":
         steps.append((lambda: _park(crew, joints, park), False))
     steps.append((arm.leave_holding if safety.at_exit == "hold" else arm.torque_off, True))
+    patience_s = 0.0 if isinstance(failure, BusLost) else safety.reconnect_s
+    crew.situation.step = f"leaving the arm: {safety.at_exit}"
     if isinstance(failure, Exception):
         crew.states.to(State.FAULT)
     crew.states.to(State.PARKING)
-    patience_s = 0.0 if isinstance(failure, BusLost) else safety.reconnect_s
     tried = [_tried(crew, step, patience_s, again) for step, again in steps]
     failures = [error for error in tried if error is not None]
     crew.situation.goal = None
@@ -66,7 +67,6 @@ def say_left(crew: Crew, how: str) -> None:
 
 
 def _park(crew: Crew, joints: Sequence[JointLimits], park: FloatArray) -> None:
-    crew.situation.step = "parking"
     approach(crew, joints, park, heed=lambda: heed_pause(crew, holds=True))
 
 

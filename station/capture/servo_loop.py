@@ -31,19 +31,24 @@ class ServoLoop:
     """
 
     def __init__(self, crew: Crew, plan: Plan, progress: Progress | None, first_leg: int = 0) -> None:
-        self._crew, self._plan, self._progress = crew, plan, progress
+        self._crew, self._progress = crew, progress
+        self._leg, self._begins = first_leg, True  # the leg under way, and whether it is to begin, or begin again
+        self._started = self._speeds_set = False
+        self._start_ns = self._sent = self._turn = 0
+        self._follow(plan)
+
+    def _follow(self, plan: Plan) -> None:
+        """Take over a plan; its legs before the one under way are those of the last plan."""
+        self._plan = plan
         times_s = plan.command_times_s()
         self._due_ns = np.round(times_s * NS_PER_S).astype(np.int64)
         self._goals, self._legs = plan.commanded(times_s), plan.segment_index(times_s)
         self._leg_starts_ns = np.round([segment.t_start_s * NS_PER_S for segment in plan.segments]).astype(np.int64)
         self._end_ns = int(plan.duration_s * NS_PER_S)
-        self._leg, self._begins = first_leg, True  # the leg under way, and whether it is to begin, or begin again
-        self._started = self._speeds_set = False
-        self._start_ns = self._sent = self._turn = 0
+        self._crew.situation.total_s = plan.duration_s
 
     def run(self) -> None:
         """To the end of the plan."""
-        self._crew.situation.total_s = self._plan.duration_s
         while self._begins or self._now_ns() < self._end_ns:
             try:
                 if self._begins:
@@ -64,6 +69,7 @@ class ServoLoop:
         crew, leg = self._crew, self._leg
         while self._heed() or self._waited_for_camera():
             pass
+        self._follow(self._plan.restarted(leg))
         segment, begins_ns = self._plan.segments[leg], int(self._leg_starts_ns[leg])
         crew.situation.step = f"to the start of step {segment.step}"
         most = self._speeds(leg) if self._started else None

@@ -34,8 +34,8 @@ DISK_EVERY_S = 2.0
 END_S = 2.0
 
 PAUSED = "paused: the arm holds where it is. Enter: on from the last checkpoint. s, or Ctrl-C again: stop and park."
-STOPPING = "stopping: the arm is left as the rig declares."
-PATIENCE = "parking, and ends by itself. To stop the arm at once, cut the servos' power."
+STOPPING = "stopping: the arm is left as the rig declares. Ctrl-C holds it on its way."
+HELD = "held on its way. Enter, or Ctrl-C again: the arm is left as the rig declares."
 
 
 class Attendant:
@@ -124,10 +124,8 @@ class Attendant:
     def _asked(self) -> str:
         wish = self.control.wish
         if wish is Wish.PAUSE:
-            return PAUSED
-        if wish is Wish.STOP and not self._ended.is_set():
-            return PATIENCE if self.interrupts.impatient else STOPPING
-        return ""
+            return HELD if self.interrupts.stopping else PAUSED
+        return STOPPING if wish is Wish.STOP and not self._ended.is_set() else ""
 
     def _listen(self, keys: Keys | None) -> None:
         """Until the next picture: hear the answer where there is a question."""

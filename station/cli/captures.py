@@ -20,6 +20,7 @@ from station.cli.options import (
     Out,
     Port,
     Realtime,
+    Resume,
     RigArgument,
     Seed,
     Simulate,
@@ -29,7 +30,9 @@ from station.cli.options import (
 from station.cli.show import asking, progress, say_next, show_comparison
 
 if TYPE_CHECKING:
+    from station.capture.counts import CaptureCounts
     from station.commands.live import LiveServer
+    from station.releasing import Ask
 
 
 @app.command()
@@ -94,11 +97,15 @@ def _run(rig: str, motion: str, out: Path, as_json: bool, live: LiveServer | Non
 
 @app.command()
 def capture(
-    rig: RigArgument,
-    out: Out,
+    rig: Annotated[
+        str | None, typer.Argument(metavar="RIG", help="Rig: a file, or a packaged one's name.", show_default=False)
+    ] = None,
     motion: Annotated[
         str | None,
         typer.Argument(metavar="[MOTION]", help="Motion: a file, or a packaged one's name; none with --hand."),
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", help="Session folder; must be new or empty.", show_default=False)
     ] = None,
     hand: Annotated[
         bool, typer.Option("--hand", help="Torque OFF: people move the arm, or any marked object.")
@@ -106,6 +113,7 @@ def capture(
     duration_s: Annotated[
         float | None, typer.Option("--duration-s", min=0.1, help="How long to record with --hand; until Ctrl-C.")
     ] = None,
+    resume: Resume = None,
     yes: Yes = False,
     seed: Seed = None,
     simulate: Simulate = False,
@@ -120,35 +128,65 @@ def capture(
     """Run a motion on a rig and record it into a session folder; with --hand, record what people move.
 
     Ctrl-C holds the arm at once and asks whether to go on; pressed again, or where nobody can be asked, it ends the
-    capture and leaves the arm as the rig declares.
+    capture and leaves the arm as the rig declares. What was recorded is kept; --resume goes on with it.
 
     With --hand torque goes off and stays off: an arm that was held DROPS, and you are asked before. The rig needs no
     servos then. Ctrl-C is the normal end.
     """
-    from station.cli.attending import attended
-    from station.commands import capturing
-
-    if hand == (motion is not None):
+    made: dict[str, Any] = {"seed": seed, "simulate": simulate, "force": force}
+    if resume is not None and (any((rig, motion, out, hand)) or any(made.values()) or seed is not None):
+        raise typer.BadParameter("--resume takes rig, motion, folder and seed from the session: want none beside it")
+    if resume is None and (rig is None or out is None):
+        raise typer.BadParameter("want RIG and --out, or --resume SESSION")
+    if resume is None and hand == (motion is not None):
         raise typer.BadParameter("want a motion, or --hand" if not hand else "want a motion or --hand, not both")
     if duration_s is not None and not hand:
         raise typer.BadParameter("--duration-s goes with --hand; a motion lasts as long as it does")
     if dry_run:
         if motion is None:
-            raise typer.BadParameter("--dry-run goes with a motion: what a hand will do nobody knows")
-        _show_dry_run(rig, motion, out, simulate=simulate, force=force, as_json=as_json)
+            raise typer.BadParameter("--dry-run goes with RIG and MOTION: what a hand will do nobody knows")
+        _show_dry_run(str(rig), motion, Path(str(out)), simulate=simulate, force=force, as_json=as_json)
         return
-    settings: dict[str, Any] = {"seed": seed, "simulate": simulate, "realtime": realtime, "force": force}
-    with live_view(view=view, headless=headless, port=port) as live, attended(out, live, by_hand=hand) as attendant:
-        settings |= {"live": live, **attendant.settings()}
-        if motion is None:
-            counts = capturing.capture_by_hand(rig, out, ask=asking(yes), duration_s=duration_s, **settings)
+    with live_view(view=view, headless=headless, port=port) as live:
+        settings = {"live": live, "realtime": realtime}
+        if resume is not None:
+            counts = _resume(resume, settings)
         else:
-            counts = capturing.capture(rig, motion, out, **settings)
+            counts = _capture(str(rig), motion, Path(str(out)), asking(yes), duration_s, made | settings)
     if as_json:
         print(json.dumps(counts.as_dict()))
     else:
-        for name, number in counts.as_dict().items():
-            print(f"{name.replace('_', ' '):16} {number}")
+        _show_counts(counts)
+
+
+def _capture(
+    rig: str, motion: str | None, out: Path, ask: Ask, duration_s: float | None, settings: dict[str, Any]
+) -> CaptureCounts:
+    """Capture a motion, or by hand without one."""
+    from station.cli.attending import attended
+    from station.commands import capturing
+
+    with attended(out, settings["live"], by_hand=motion is None) as attendant:
+        settings |= attendant.settings()
+        if motion is None:
+            return capturing.capture_by_hand(rig, out, ask=ask, duration_s=duration_s, **settings)
+        return capturing.capture(rig, motion, out, **settings)
+
+
+def _resume(session: Path, settings: dict[str, Any]) -> CaptureCounts:
+    from station.cli.attending import attended
+    from station.commands import capturing
+
+    with attended(session, settings["live"]) as attendant:
+        return capturing.resume(session, **settings, **attendant.settings())
+
+
+def _show_counts(counts: CaptureCounts) -> None:
+    """What was recorded, and what else was counted if it happened at all."""
+    always = ("frames", "dropped_frames", "commands", "readings", "bus_errors")
+    for name, number in counts.as_dict().items():
+        if number or name in always:
+            print(f"{name.replace('_', ' '):22} {number}")
 
 
 def _show_dry_run(rig: str, motion: str, out: Path, *, simulate: bool, force: bool, as_json: bool) -> None:

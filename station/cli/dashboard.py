@@ -31,6 +31,8 @@ LABOURING, STRAINED = 0.7, 0.9
 # A part whose markers were seen so lately, s, is seen: some frames of any camera.
 SEEN_S = 0.5
 SAID_LINES = 2
+# Among what was lost.
+NOT_SHOWN = "live view"
 ENOUGH = 1.0
 BAR_CELLS = 10
 
@@ -63,7 +65,9 @@ class Dashboard:
         lines = [_head(now, width), _bar(now, width)]
         lines += [Text(line, "bold") for line in _wrapped(self.asked, width, 2)]
         lines += _joint_table(now.joints, width)
-        lines += _pairs(width, ("frames", _frames(now)), ("lost", _lost(now.lost)))
+        lines += _pairs(
+            width, ("frames", _frames(now)), ("lost", _lost(now.lost)), ("not shown live", _not_shown(now.lost))
+        )
         lines += _pairs(width, ("parts", _parts(now.seen_s, width - len("parts  "))))
         lines += _pairs(width, ("bus errors", _count(now.bus_errors)), ("disk", Text(self.disk)))
         lines += [Text(line, "yellow") for line in _wrapped(now.said, width, SAID_LINES)]
@@ -120,11 +124,13 @@ def _frames(now: Snapshot) -> Text:
 
 
 def _lost(lost: Mapping[str, int]) -> Text:
-    """What was lost, by reason; what the live view left out is no loss."""
-    told = [
-        (f"{reason} {count}", "dim" if reason == "live view" else "yellow") for reason, count in lost.items() if count
-    ]
-    return Text(", ").join([Text(*part) for part in told]) if told else Text("none")
+    told = [f"{reason} {count}" for reason, count in lost.items() if count and reason != NOT_SHOWN]
+    return Text(", ".join(told), "yellow") if told else Text("none")
+
+
+def _not_shown(lost: Mapping[str, int]) -> Text:
+    """What the live view left out is no loss."""
+    return Text(str(lost[NOT_SHOWN]), "dim") if lost.get(NOT_SHOWN) else Text("")
 
 
 def _count(count: int) -> Text:

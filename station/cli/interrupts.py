@@ -17,9 +17,9 @@ STILL = frozenset({State.IDLE, State.CHECKING})
 class Interrupts:
     """Has signals ask a capture to pause or stop, inside a `with` block. They only set flags: the servo loop does it.
 
-    Ctrl-C, where a person can be asked, first pauses, then stops; elsewhere it stops. SIGTERM and SIGHUP (the terminal
-    is gone) stop, Ctrl-Z pauses: a program that is suspended watches over no arm. Once it stops, nothing hurries it:
-    that would leave the arm in no declared state.
+    Ctrl-C, where a person can be asked, holds the arm where it is whenever it moves, also on its way to be left;
+    pressed again it stops the capture. Elsewhere it stops at once, and so do SIGTERM and SIGHUP (the terminal is gone).
+    Ctrl-Z pauses: a program that is suspended watches over no arm. Nothing skips how the arm is to be left.
 
     Args:
         asks: whether a person can be asked.
@@ -27,7 +27,7 @@ class Interrupts:
 
     Attributes:
         code: the exit code of the signal that stopped the capture; None without one.
-        impatient: how many signals came when it was already stopping.
+        stopping: whether the capture was stopped.
     """
 
     def __init__(self, control: Control, *, asks: bool, by_hand: bool) -> None:
@@ -35,7 +35,7 @@ class Interrupts:
         self._moves = False
         self._before: dict[signal.Signals, Any] = {}
         self.code: int | None = None
-        self.impatient = 0
+        self.stopping = False
 
     def entered(self, state: State) -> None:
         """The capture is in this state now."""
@@ -64,15 +64,13 @@ class Interrupts:
             self._control.pause()
         elif not self._moves:
             raise KeyboardInterrupt if number == signal.SIGINT else SystemExit(SIGNAL_CODE + number)
-        elif number == signal.SIGINT and self._asks and not self._by_hand and self._control.wish is Wish.RUN:
+        elif number == signal.SIGINT and self._asks and not self._by_hand and self._control.wish is not Wish.PAUSE:
             self._control.pause()
         else:
             self._stop(number)
 
     def _stop(self, number: int) -> None:
-        if self._control.wish is Wish.STOP:
-            self.impatient += 1
-            return
         self._control.stop()
-        if not (self._by_hand and number == signal.SIGINT):
+        if not self.stopping and not (self._by_hand and number == signal.SIGINT):
             self.code = SIGNAL_CODE + number
+        self.stopping = True

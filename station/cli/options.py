@@ -22,6 +22,15 @@ Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
 Seed = Annotated[
     int | None, typer.Option("--seed", help="Seed of everything random in a simulation.", show_default=False)
 ]
+Resume = Annotated[
+    Path | None,
+    typer.Option(
+        "--resume",
+        metavar="SESSION",
+        help="Go on with an interrupted session from its last checkpoint, in its own folder.",
+        show_default=False,
+    ),
+]
 Realtime = Annotated[bool, typer.Option("--realtime", help="Simulate on the real clock instead of a virtual one.")]
 Simulate = Annotated[
     bool, typer.Option("--simulate", help="Emulated servos and a rendered camera, whatever the rig names.")

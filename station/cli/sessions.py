@@ -91,18 +91,21 @@ def compare(session: SessionArgument, commands_csv: Commands = None, as_json: Js
 def report(session: SessionArgument, commands_csv: Commands = None, as_json: Json = False) -> None:
     """Write a session's report: Figure 7, tables, the tree.
 
-    Without commands, as for a video: the tree, the joints' states, when the parts were seen.
+    Without commands, as for a video: the tree, the joints' states, when the parts were seen. Takes a fit's folder, too.
     """
     from station.commands import reporting
     from station.compare import Comparison
-    from station.fit_files import read_fit
+    from station.fit_files import TREE_FILE, read_tree
     from station.session import FIT_FOLDER
 
     comparison = reporting.report(session, commands=commands_csv)
+    trees = (folder / TREE_FILE for folder in (session / FIT_FOLDER, session))
     if comparison is not None or as_json:
         show_comparison(comparison or Comparison(()), as_json)
+    elif (tree := next(filter(Path.exists, trees), None)) is not None:
+        _show_tree(read_tree(tree))
     else:
-        _show_tree(read_fit(session / FIT_FOLDER).tree)
+        warn("nothing was fitted: the report has no tree")
     say_next(f"report        {session / 'report' / 'report.html'}")
 
 

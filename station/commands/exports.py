@@ -97,7 +97,7 @@ def _of_fit(folder: Path) -> Exportable:
 
 
 def _of_session(path: Path) -> Exportable:
-    session = load_session(path, most_sightings=None)
+    session = load_session(path, most_markers=None)
     recording = session.recording
     fit = path / FIT_FOLDER if path.is_dir() else path.parent / FIT_FOLDER
     fitted = _of_fit(fit) if (fit / TREE_FILE).is_file() else Exportable()

@@ -29,9 +29,9 @@ if TYPE_CHECKING:
     from station.recording import Recording
     from station.tracking import TrackedParts
 
-# Markers of all frames that a fit takes into account. Tracking and learning want some 10 kB of memory for each, which
-# makes 2 GB; of longer sessions frames are left out, evenly, and it is said.
-MOST_SIGHTINGS = 200_000
+# Markers of all frames that a fit takes into account. Reading, tracking and learning want some 10 kB of memory for each
+# at once, which makes 2 GB; of longer sessions frames are left out, evenly, and it is said.
+MOST_MARKERS = 200_000
 
 
 @dataclass(frozen=True)
@@ -50,26 +50,21 @@ class Session:
     viewing: FloatArray
 
 
-def load_session(path: Path, *, most_sightings: int | None = MOST_SIGHTINGS) -> Session:
+def load_session(path: Path, *, most_markers: int | None = MOST_MARKERS) -> Session:
     """Read a session's recording, and nothing else, and estimate its poses; raises StationError.
 
     Args:
-        most_sightings: markers of all frames; of a session with more, frames are left out evenly, with a
-            notice; all of them count if None.
+        most_markers: of all frames; of a session with more, frames are left out evenly, with a notice; all of them
+            count if None.
     """
     from station.recording import Recording
     from station.tracking import track_parts, viewing_angles_of_parts
 
-    recording = Recording.load(path)
+    recording = Recording.load(path, most_markers=most_markers)
     about = recording.description
     rig = None if about.rig is None else parse_rig(about.rig, f"{path}: rig").camera
     latency_s, readout_s = (0.0, None) if rig is None else (rig.latency_s, rig.readout_s)
-    observed = recording.observations
-    thinned = observed if most_sightings is None else observed.thinned(most_sightings)
-    if len(thinned.t_s) < recording.frames:
-        said = f"{len(thinned.t_s)} of {recording.frames} frames are used, evenly spread: more need too much memory"
-        recording = replace(recording, notices=(*recording.notices, said))
-    seen = replace(thinned, t_s=thinned.t_s - latency_s)
+    seen = replace(recording.observations, t_s=recording.observations.t_s - latency_s)
     markers = parse_markers(about.markers, f"{path}: markers")
     camera = parse_camera(about.camera, f"{path}: camera")
     tracked = track_parts(seen, markers, camera, readout_s=readout_s)

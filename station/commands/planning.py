@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from station.formats.motion import parse_motion
-from station.formats.text import read_text
-from station.motion import JointLimits, Plan, plan_motion
+from station.motion import Plan, plan_motion, told_legs
 
 if TYPE_CHECKING:
     from station.rig import RigFile
@@ -20,15 +18,10 @@ def plan(rig: str, motion: str) -> Plan:
 
 
 def plan_rows(planned: Plan) -> list[list[str]]:
-    """A table of a plan's legs, its header first."""
+    """A table of a plan, its header first: the legs of given targets, a row for each other step."""
     rows = [["step", "at [s]", "move [s]", "hold [s]", "what moves"]]
-    for leg in planned.segments:
-        moves = [
-            f"{joint.name} to {joint.text(there).replace('.0 ', ' ')}"
-            for joint, here, there in zip(planned.joints, leg.q_from, leg.q_to, strict=True)
-            if here != there
-        ]
-        rows.append([str(leg.step), f"{leg.t_start_s:.2f}", f"{leg.move_s:.2f}", f"{leg.hold_s:.2f}", ", ".join(moves)])
+    for told in told_legs(planned):
+        rows.append([str(told.step), f"{told.t_start_s:.2f}", f"{told.move_s:.2f}", f"{told.hold_s:.2f}", told.text])
     return rows
 
 
@@ -37,6 +30,7 @@ def plan_document(planned: Plan) -> dict[str, object]:
     legs = [
         {
             "step": leg.step,
+            "kind": planned.motion.steps[leg.step - 1].kind,
             "start_s": leg.t_start_s,
             "move_s": leg.move_s,
             "hold_s": leg.hold_s,
@@ -51,10 +45,10 @@ def plan_document(planned: Plan) -> dict[str, object]:
 
 def planned_motion(rig: RigFile, motion: str) -> tuple[Plan, str]:
     """A motion laid out on a rig, and its text for the session's copy."""
-    from station.rig_reading import check_arm, packaged, packaged_names
+    from station.commands.motion_sources import read_motion
+    from station.rig_reading import check_arm
 
     check_arm(rig.table, rig.name)
-    path = packaged("motions", motion)
-    text = read_text(path, "motion", f"packaged ones are {', '.join(packaged_names('motions'))}")
-    joints: tuple[JointLimits, ...] = rig.table.limits()
-    return plan_motion(parse_motion(text, str(path), joints), joints), text
+    joints = rig.table.limits()
+    read, text = read_motion(motion, joints)
+    return plan_motion(read, joints), text

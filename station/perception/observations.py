@@ -119,17 +119,6 @@ class ObservationLog:
         """The same observations with other poses of the N rows, such as those of another calibration."""
         return replace(self, T_cam_marker=poses.T_cam_marker, rms_px=poses.rms_px)
 
-    def thinned(self, most: int) -> ObservationLog:
-        """As many frames, evenly spread over all, as have about `most` markers; the same log where it has no more."""
-        if len(self) <= most:
-            return self
-        keep = np.unique(np.linspace(0, len(self.t_s) - 1, max(1, len(self.t_s) * most // len(self))).astype(np.int64))
-        row = np.full(len(self.t_s), -1, dtype=np.int64)
-        row[keep] = np.arange(len(keep))
-        kept = np.flatnonzero(row[self.frame] >= 0)
-        columns = {name: getattr(self, name)[kept] for name in MARKER_SHAPES}
-        return ObservationLog(self.t_s[keep], row[self.frame[kept]], **columns)
-
 
 class ObservationBuilder:
     """Collects the markers of one frame after another into an ObservationLog."""

@@ -138,15 +138,17 @@ def last_of_equal(times: IntArray) -> NDArray[np.bool_]:
     return np.append(np.diff(times) > 0, True)[: len(times)]
 
 
-def read_observations(rows: Rows, present: Sequence[str]) -> ObservationLog:
-    """The markers of each frame; columns that aren't `present` are NaN."""
+def read_observations(rows: Rows, present: Sequence[str], keep: NDArray[np.bool_]) -> ObservationLog:
+    """The markers of the frames to `keep` (T,); columns that aren't `present` are NaN."""
     counts = rows.integers("count", np.ones(len(rows), np.int64))
+    kept = np.repeat(keep, counts)
     columns = {}
     for name, shape in MARKER_SHAPES.items():
         read = rows.integers if name == "marker_id" else rows.floats
         missing = name not in present
-        columns[name] = np.full((int(counts.sum()), *shape), np.nan) if missing else read(name, counts, shape)
-    return ObservationLog(seconds(rows.times), np.repeat(np.arange(len(rows)), counts), **columns)
+        column = np.full((int(counts.sum()), *shape), np.nan) if missing else read(name, counts, shape)
+        columns[name] = column if kept.all() else column[kept]
+    return ObservationLog(seconds(rows.times[keep]), np.repeat(np.arange(keep.sum()), counts[keep]), **columns)
 
 
 def read_events(batches: Sequence[pa.RecordBatch]) -> tuple[Event, ...]:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -49,6 +50,7 @@ from station.recording.layout import (
 from station.recording.opening import errors_of, has_rows, open_piece, read_piece
 from station.recording.repair import correct_status, repair
 from station.recording.rows import Rows
+from station.recording.thinning import Thinning
 from station.session import RECORDING_FILE, SessionDescription, recording_pieces
 
 Batches = Mapping[str, Sequence[pa.RecordBatch]]
@@ -72,6 +74,7 @@ class Recording:
         frame_ns: (F,) stamps of the frames on the session's clock.
         events: in the order of their times.
         servos: what the servos said of themselves; without rows in sessions made before 0.2.0.
+        frames_left_out: how many are recorded and were left out in reading, of a long session.
         pieces: the files that were read: several of a session that was gone on with and isn't closed.
         notices: what was wrong with the files and how they were read nevertheless.
     """
@@ -90,25 +93,30 @@ class Recording:
     servos: ServoLog
     pieces: tuple[Path, ...]
     notices: tuple[str, ...] = field(default=())
+    frames_left_out: int = 0
 
     @classmethod
-    def load(cls, path: Path) -> Recording:
-        """Read a session folder or an .rrd; frames are not read.
+    def load(cls, path: Path, *, most_markers: int | None = None) -> Recording:
+        """Read a session folder or an .rrd; pictures are not read.
 
         A recording that was not closed, or was cut, is read up to its last whole message, with a notice. In a session
         folder it is repaired, unless a program still records there, and session.json is corrected.
+
+        Args:
+            most_markers: of all frames; of a longer session only every second, fourth, ... frame is read, with a
+                notice, so that memory doesn't grow with its length. All frames are read if None.
 
         Raises:
             InvalidFile: missing, empty, damaged, no session's recording, or of a schema that isn't read.
         """
         repaired = repair(path) if path.is_dir() else ()
-        recording = cls.read(path, repaired)
+        recording = cls.read(path, repaired, most_markers=most_markers)
         if path.is_dir():
             correct_status(path, recording)
         return recording
 
     @classmethod
-    def read(cls, path: Path, notices: Sequence[str] = ()) -> Recording:
+    def read(cls, path: Path, notices: Sequence[str] = (), *, most_markers: int | None = None) -> Recording:
         """As `load`, but nothing is repaired; `notices` are put before those of reading."""
         pieces = recording_pieces(path) if path.is_dir() else [path] if path.is_file() else []
         if not pieces:
@@ -116,10 +124,13 @@ class Recording:
             raise InvalidFile(f"{path} is missing; a session folder has its recording there")
         first, *later = pieces
         pieces = [first, *filter(has_rows, later)]
-        read = [read_piece(piece, _batches) for piece in pieces]
+        thinning = Thinning(most_markers)
+        read = [read_piece(piece, partial(_batches, piece=piece, thinning=thinning)) for piece in pieces]
         of_pieces = [notice for _, of_piece in read for notice in of_piece]
         with errors_of(first):
-            return _assembled(pieces, _together([batches for batches, _ in read]), (*notices, *of_pieces))
+            together = {**_together([batches for batches, _ in read]), OBSERVATIONS: thinning.rows}
+            whole = _assembled(pieces, together, (*notices, *of_pieces, *thinning.notices))
+        return replace(whole, frames_left_out=thinning.left_out)
 
     @property
     def frames(self) -> int:
@@ -137,7 +148,7 @@ class Recording:
     def counts(self) -> dict[str, int]:
         """How many rows there are of what session.json counts."""
         return {
-            "frames": self.frames,
+            "frames": self.frames + self.frames_left_out,
             "commands": len(self.commanded.t_s),
             "readings": len(self.measured.t_s),
             "events": len(self.events),
@@ -179,13 +190,18 @@ class Recording:
         return np.asarray(image, np.uint8)
 
 
-def _batches(stream: LazyChunkStream) -> Batches:
-    """The rows that a fit needs, by entity; static rows only of the description."""
+def _batches(stream: LazyChunkStream, *, piece: Path, thinning: Thinning) -> Batches:
+    """The rows that a fit needs, by entity; static ones of the description only. Those of frames go to `thinning`."""
+    thinning.begin(piece)
     paths = [PROPERTY_ENTITY, *(f"/{entity}" for entity in (COMMANDED, MEASURED, SERVOS, OBSERVATIONS, EVENTS))]
     batches: dict[str, list[pa.RecordBatch]] = defaultdict(list)
     for chunk in stream.filter(content=paths):
         if chunk.is_static == (chunk.entity_path == PROPERTY_ENTITY):
-            batches[chunk.entity_path.lstrip("/")].append(chunk.to_record_batch())
+            entity, batch = chunk.entity_path.lstrip("/"), chunk.to_record_batch()
+            if entity == OBSERVATIONS:
+                thinning.take(piece, batch)
+            else:
+                batches[entity].append(batch)
     return batches
 
 
@@ -204,6 +220,9 @@ def _assembled(pieces: Sequence[Path], batches: Batches, notices: tuple[str, ...
     present = {name for batch in rows for name in batch.schema.names}
     columns = [name for name in MARKER_SHAPES if name in present or name not in ADDED]
     observed = Rows(rows, ELAPSED, [FRAME, "count", *columns])
+    seen = np.diff(observed.times, prepend=-np.inf) > 0
+    if repeated := int(np.sum(~seen)):
+        notices = (*notices, f"{repeated} frames were left out that have the stamp of another one")
     stamps_ns = read_stamps(measured)
     keep = last_of_equal(stamps_ns.sum(axis=1))
     read_s = seconds((stamps_ns[keep] - start_ns).sum(axis=1)) / 2
@@ -216,9 +235,9 @@ def _assembled(pieces: Sequence[Path], batches: Batches, notices: tuple[str, ...
         commanded=JointLog(seconds(commanded.times[sent]), joints, joint_states(commanded, len(joints))[sent], units),
         measured=JointLog(read_s, joints, states_at_one_time(measured, len(joints), start_ns, keep, read_s), units),
         stamps_ns=stamps_ns[keep],
-        observations=read_observations(observed, columns),
-        frame_index=observed.index(FRAME),
-        frame_ns=observed.times + start_ns,
+        observations=read_observations(observed, columns, seen),
+        frame_index=observed.index(FRAME)[seen],
+        frame_ns=observed.times[seen] + start_ns,
         events=read_events(batches.get(EVENTS, ())),
         servos=read_servos(batches.get(SERVOS, ())),
         pieces=tuple(pieces),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import shutil
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -22,10 +22,12 @@ if TYPE_CHECKING:
 
 # Between two flushes, s of the wall clock.
 FLUSH_PERIOD_S = 0.5
+# Between two times that the disk is told to keep what the file has (fsync), s: a power cut may lose as much.
+SYNC_PERIOD_S = 5.0
 # A flush that takes longer means that the disk takes nothing any more, s.
 FLUSH_TIMEOUT_S = 5.0
-# Waiting for the end of a file that could not be written, s.
-END_TIMEOUT_S = 2.0
+# Waiting for the end of a file, which has its index to write; and of one that could not be written, s.
+END_TIMEOUT_S, FAILED_END_TIMEOUT_S = 60.0, 2.0
 # rerun's batcher writes an entity when it has this much, and all of them when they are flushed. Were images alone to
 # reach the limit before each flush, nothing else would ever be written; hence far more than a flush's worth of images.
 BATCH_BYTES = 64 << 20
@@ -40,7 +42,10 @@ def written(path: Path) -> Iterator[None]:
         yield
     except StationError:
         raise
-    except Exception as error:
+    except BaseException as error:
+        # rerun's panics derive from BaseException, like an interrupt, which must pass.
+        if not isinstance(error, Exception) and type(error).__name__ != "PanicException":
+            raise
         raise StationError(f"{path} can't be written: {error}\n{_free_text(path.parent)}") from error
 
 
@@ -73,17 +78,22 @@ def open_stream(recording_id: str, tick_s: float = BATCH_TICK_S, *, send_propert
     return stream
 
 
+# Set once a file can't be finished: rerun would wait for it for ever, whatever it is told to end.
+_stuck = threading.Event()
+
+
 def forget_ended_streams() -> None:
     """End the threads of streams that nothing refers to any more: rerun keeps two for each until it is told to."""
-    flush_and_cleanup_orphaned_recordings()
+    if not _stuck.is_set():
+        flush_and_cleanup_orphaned_recordings()
 
 
 class RrdStream:
     """Writes one .rrd. May be called from several threads.
 
-    A thread of its own hands what was logged to the operating system twice a second, so that a kill loses less than a
-    second also when nothing more is logged. What fails is fatal, since rerun doesn't recover: it is raised by each call
-    from then on.
+    Threads of its own hand what was logged to the operating system twice a second, so that a kill loses less than a
+    second also when nothing more is logged, and have the disk keep it every five. What fails is fatal, since rerun
+    doesn't recover: it is raised by each call from then on.
 
     Args:
         start_ns: time 0 of the file, on the clock of the stamps that are logged.
@@ -108,10 +118,14 @@ class RrdStream:
         self._ending = threading.Event()
         self._flushing = threading.Lock()
         self._stream = open_stream(recording_id, send_properties=send_properties)
-        self._timer = threading.Thread(target=self._flush_by_the_clock, name="recording flush", daemon=True)
+        self._timers = [
+            threading.Thread(target=self._by_the_clock, args=what, name=f"recording {name}", daemon=True)
+            for name, *what in (("flush", FLUSH_PERIOD_S, self.flush), ("sync", SYNC_PERIOD_S, self.sync))
+        ]
         try:
             with written(path):
                 self._stream.set_sinks(rr.FileSink(path), default_blueprint=blueprint)
+                self._identity = _identity(path)
         except BaseException:
             self.end()
             raise
@@ -121,9 +135,10 @@ class RrdStream:
         """rerun's stream, for what has no time."""
         return self._stream
 
-    def start_timer(self) -> None:
-        """Flush by the clock from now on."""
-        self._timer.start()
+    def start_timers(self) -> None:
+        """Flush and sync by the clock from now on."""
+        for timer in self._timers:
+            timer.start()
 
     def log(self, t_ns: int, entity: str, *values: rr.AsComponents, frame: int | None = None) -> None:
         """Log a row at its stamp; raises StationError once something failed."""
@@ -146,9 +161,21 @@ class RrdStream:
             try:
                 with written(self._path):
                     self._stream.flush(timeout_sec=timeout_s)
+                    if _identity(self._path) != self._identity:  # rerun goes on writing into what nobody can open
+                        raise StationError(f"{self._path} was removed, moved or replaced while it was recorded")
             except StationError as error:
                 self._failure = error
                 raise
+
+    def sync(self) -> None:
+        """Have the disk keep what the file has; raises StationError if it can't."""
+        self.check()
+        try:
+            with written(self._path), self._path.open("rb") as file:
+                os.fsync(file.fileno())
+        except StationError as error:
+            self._failure = error
+            raise
 
     def end(self) -> None:
         """Finish the file; once.
@@ -159,20 +186,29 @@ class RrdStream:
         if self._ending.is_set():
             return
         self._ending.set()
-        if self._timer.ident is not None:
-            self._timer.join()
+        for timer in self._timers:
+            if timer.ident is not None:
+                timer.join()
         ending = threading.Thread(target=self._stream.disconnect, name="rerun disconnect", daemon=True)
         ending.start()
-        ending.join(END_TIMEOUT_S if self._failure is not None else None)
+        ending.join(END_TIMEOUT_S if self._failure is None else FAILED_END_TIMEOUT_S)
         del self._stream
-        if ending.is_alive():
-            rr.unregister_shutdown()
-        else:
+        if not ending.is_alive():
             forget_ended_streams()
+            return
+        _stuck.set()
+        rr.unregister_shutdown()
+        if self._failure is None:
+            self._failure = StationError(f"{self._path} can't be finished: its disk takes nothing any more")
 
-    def _flush_by_the_clock(self) -> None:
-        while not self._ending.wait(FLUSH_PERIOD_S):
+    def _by_the_clock(self, period_s: float, act: Callable[[], None]) -> None:
+        while not self._ending.wait(period_s):
             try:
-                self.flush()
+                act()
             except StationError:
                 return  # kept; whoever logs next is told
+
+
+def _identity(path: Path) -> tuple[int, int]:
+    status = path.stat()
+    return status.st_dev, status.st_ino

@@ -6,7 +6,6 @@ gone on with.
 
 from __future__ import annotations
 
-import os
 import uuid
 from collections import Counter
 from collections.abc import Mapping
@@ -86,7 +85,8 @@ class RecordingWriter:
         self._folder, self._about, self._earlier = folder, description, earlier
         self._path = folder / piece_file(earlier.piece if earlier else 0)
         self._start_ns = start_ns
-        self._counts = Counter(dict.fromkeys(COUNTED, 0))
+        self._counts: Counter[str] = Counter(dict.fromkeys(COUNTED, 0))
+        self._last_frame_ns: int | None = None
         self._closed = False
         self._rows = SessionRows(description)
         check_rerun()
@@ -185,11 +185,16 @@ class RecordingWriter:
 
         Args:
             index: the camera's number of the frame, increasing; dropped frames leave gaps.
-            t_ns: stamp of its arrival, increasing.
+            t_ns: stamp of its arrival, increasing; a frame whose stamp isn't later than the last one's is left out and
+                counted.
             image: (H, W, 3) BGR or (H, W) grey, encoded here; or a JPEG's bytes; None leaves it out.
             markers: may be none.
         """
         self._check_open()
+        if self._last_frame_ns is not None and t_ns <= self._last_frame_ns:
+            self._counts["repeated_frames"] += 1
+            return
+        self._last_frame_ns = t_ns
         self._rows.frame(index, t_ns, image, markers)
         self._counts["frames"] += 1
 
@@ -209,6 +214,7 @@ class RecordingWriter:
         """
         self._check_open()
         self._stream.flush()
+        self._stream.sync()
         self._status = replace(self._status, progress=Checkpoint(leg, legs), counts=self._total(counts))
         self._write_status()
 
@@ -222,15 +228,14 @@ class RecordingWriter:
         self._closed = True
         self._status = replace(self._status, state="interrupted", ended=datetime.now(UTC), counts=self._total(counts))
         try:
-            self._stream.flush()
-            self._status = replace(self._status, state=state)
-        except StationError:
-            self._stream.end()
-            self._status = replace(self._status, counts=self._written_counts())
-            raise
+            failure = self._finished()
+            if failure is None:
+                self._status = replace(self._status, state=state)
+            else:
+                self._status = replace(self._status, counts=self._written_counts())
+            self._leave(failure)
         finally:
-            self._stream.end()
-            self._leave()
+            self._lock.release()
 
     def __enter__(self) -> RecordingWriter:
         return self
@@ -278,7 +283,7 @@ class RecordingWriter:
             self._stream.flush()
             self._rows.scene()
             self._stream.flush()
-            self._stream.start_timer()
+            self._stream.start_timers()
         except BaseException:
             self._stream.end()
             raise
@@ -291,23 +296,29 @@ class RecordingWriter:
             return {**counts, **written, "unwritten_frames": counts["frames"] - written["frames"]}
         return counts
 
-    def _leave(self) -> None:
-        """Have session.json say what became of the session, join its pieces, and let others into the folder."""
+    def _finished(self) -> StationError | None:
+        """Finish the file and have the disk keep it; what failed, if anything did."""
         try:
-            with written(self._path):
-                _sync(self._path)
-        except StationError:
-            self._status = replace(self._status, state="interrupted")
-            raise
-        finally:
-            try:
-                self._write_status()
-                drop_reserve(self._folder)
-                if self._earlier:
-                    with suppress(OSError, StationError):  # whoever opens it next tries again, and is told
-                        join_pieces(self._folder)
-            finally:
-                self._lock.release()
+            self._stream.flush()
+            self._stream.end()
+            self._stream.sync()
+        except StationError as error:
+            self._stream.end()
+            return error
+        return None
+
+    def _leave(self, failure: StationError | None) -> None:
+        """Have session.json say what became of the session, and join its pieces; raises the first thing that failed."""
+        try:
+            self._write_status()
+        except StationError as error:
+            failure = failure or error
+        drop_reserve(self._folder)
+        if failure is not None:
+            raise failure
+        if self._earlier:
+            with suppress(OSError, StationError):  # whoever opens it next tries again, and is told
+                join_pieces(self._folder)
 
     def _write_status(self) -> None:
         with written(self._folder / STATUS_FILE):
@@ -323,9 +334,3 @@ class RecordingWriter:
     def _check_open(self) -> None:
         if self._closed:
             raise StationError(f"{self._path} is closed; nothing more is logged")
-
-
-def _sync(path: Path) -> None:
-    """Have the disk keep it before session.json calls it complete."""
-    with path.open("rb") as file:
-        os.fsync(file.fileno())

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from station.logs import FloatArray
+from station.report import thinning
 from station.report.style import LIGHT
 
 if TYPE_CHECKING:
@@ -34,6 +35,7 @@ def draw_detected(
 
 def draw_line(axes: Axes, t_s: FloatArray, state: FloatArray, colour: str, *, width: float, label: str) -> None:
     """A line, and dots for the frames that stand alone between gaps."""
+    t_s, state = thinning.line(t_s, state)
     seen = np.isfinite(state)
     alone = seen & ~np.concatenate(([False], seen[:-1])) & ~np.concatenate((seen[1:], [False]))
     axes.plot(t_s, state, color=colour, lw=width, label=label)
@@ -45,4 +47,5 @@ def draw_band(
 ) -> None:
     """A band of +-reach about the middle; nothing where the reach is unknown."""
     if np.any(np.isfinite(reach)):
-        axes.fill_between(t_s, middle - reach, middle + reach, color=colour, alpha=0.3, lw=0, label=BAND)
+        t_s, low, high = thinning.band(t_s, middle - reach, middle + reach)
+        axes.fill_between(t_s, low, high, color=colour, alpha=0.3, lw=0, label=BAND)

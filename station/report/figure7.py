@@ -9,9 +9,10 @@ import numpy as np
 
 from station.compare import UNIT_NAME, UNIT_SCALE, Comparison, JointComparison
 from station.logs import FloatArray
+from station.report import thinning
 from station.report.curves import BAND, BAND_SIGMAS, DETECTED, draw_band, draw_detected, draw_line
 from station.report.style import LIGHT, WIDTH_IN, styled
-from station.report.tables import shortened, three_digits
+from station.report.tables import session_lag_text, shortened, three_digits
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -25,6 +26,8 @@ Viewing = Mapping[str, tuple[FloatArray, FloatArray]]
 OBLIQUE_DEG = 60.0
 # Deg or mm: the error's axis is never finer.
 LEAST_ERROR_RANGE = 0.01
+# Height of the line that tells the lag.
+NOTE_IN = 0.22
 
 COMMANDED = "commanded"
 MEASURED = "servo read-back"
@@ -41,7 +44,8 @@ def figure7(comparison: Comparison, viewing_angles_deg: Viewing | None) -> Figur
     Each joint: commanded (steps), read-back and detected states with the detection's band of +-2 standard deviations;
     below, the error detected - read-back (- command where there is no read-back) over a band of +-2 standard deviations
     about zero; below that, the markers' viewing angle, shaded throughout where over 60 deg. The band is of the
-    detection alone: the error has the read-back's rounding to whole counts in it too.
+    detection alone: the error has the read-back's rounding to whole counts in it too. Where a lag was applied, commands
+    and read-back are drawn that much later, and a panel tells its RMSE without it, too.
 
     Args:
         comparison: what to draw, in degrees or millimetres.
@@ -52,7 +56,8 @@ def figure7(comparison: Comparison, viewing_angles_deg: Viewing | None) -> Figur
     joints = comparison.joints
     columns = min(len(joints), 2) or 1
     rows = -(-len(joints) // columns) or 1
-    height_in = 1.0 + rows * (4.4 if columns == 1 else 3.7)
+    top_in = 0.8 if comparison.lag.lag_s is None else 0.8 + NOTE_IN
+    height_in = top_in + 0.2 + rows * (4.4 if columns == 1 else 3.7)
     with styled():
         figure = Figure(figsize=(WIDTH_IN, height_in))
         if not joints:
@@ -61,12 +66,12 @@ def figure7(comparison: Comparison, viewing_angles_deg: Viewing | None) -> Figur
         grid = figure.add_gridspec(
             rows,
             columns,
-            left=0.08,
+            left=0.092,
             right=0.99,
-            top=1 - 0.8 / height_in,
+            top=1 - top_in / height_in,
             bottom=0.5 / height_in,
             hspace=0.24,
-            wspace=0.22,
+            wspace=0.25,
         )
         panels = [
             _draw_joint(figure, grid[i // columns, i % columns], joint, viewing_angles_deg)
@@ -75,6 +80,9 @@ def figure7(comparison: Comparison, viewing_angles_deg: Viewing | None) -> Figur
         for axes in panels[-columns:]:
             axes[-1].set_xlabel("time [s]")
         _draw_legend(figure, panels, height_in)
+        if comparison.lag.lag_s is not None:
+            at = 1 - (top_in - 0.28 - NOTE_IN / 2) / height_in
+            figure.text(0.5, at, session_lag_text(comparison), ha="center", va="center", fontsize=8.5)
         for column in range(columns):
             figure.align_ylabels([panel for axes in panels[column::columns] for panel in axes])
         return figure
@@ -92,7 +100,9 @@ def _draw_joint(figure: Figure, cell: SubplotSpec, joint: JointComparison, viewi
     if viewing is not None:
         _draw_viewing(axes, viewing.get(joint.joint))
     axes[0].margins(x=0)
-    axes[0].set_title(_title(joint), loc="left", fontsize=9.5, fontweight="bold", pad=5)
+    before = _before(joint)
+    axes[0].set_title(_title(joint, 10 if before else 24), loc="left", fontsize=9.5, fontweight="bold", pad=5)
+    axes[0].set_title(before, loc="right", fontsize=8, pad=5)
     return axes
 
 
@@ -100,13 +110,11 @@ def _draw_states(axes: Axes, joint: JointComparison) -> None:
     """The read-back is the widest and the detection covers the command: where they agree, all but that one show."""
     scale, unit = UNIT_SCALE[joint.unit], UNIT_NAME[joint.unit]
     if np.any(np.isfinite(joint.measured)):
-        axes.plot(joint.t_s, scale * joint.measured, color=LIGHT.measured, lw=3.6, label=MEASURED)
+        axes.plot(*thinning.line(joint.t_s, scale * joint.measured), color=LIGHT.measured, lw=3.6, label=MEASURED)
     if np.any(np.isfinite(joint.commanded)):
-        commanded = scale * joint.commanded
+        commanded = thinning.line(joint.t_s, scale * joint.commanded)
         style = (0, (4, 1.5))
-        axes.plot(
-            joint.t_s, commanded, color=LIGHT.commanded, lw=1.0, ls=style, drawstyle="steps-post", label=COMMANDED
-        )
+        axes.plot(*commanded, color=LIGHT.commanded, lw=1.0, ls=style, drawstyle="steps-post", label=COMMANDED)
     draw_detected(axes, joint.t_s, scale * joint.detected, scale * joint.detected_std)
     axes.set_ylabel(f"{'angle' if joint.unit == 'rad' else 'position'} [{unit}]")
 
@@ -135,9 +143,9 @@ def _draw_viewing(axes: Sequence[Axes], viewing: tuple[FloatArray, FloatArray] |
         strip.text(0.5, 0.5, "not known", transform=strip.transAxes, ha="center", va="center", fontsize=8)
         return
     t_s, angle_deg = viewing
-    strip.plot(t_s, angle_deg, color=LIGHT.viewing, lw=1.0, label=VIEW)
+    strip.plot(*thinning.line(t_s, angle_deg), color=LIGHT.viewing, lw=1.0, label=VIEW)
     with np.errstate(invalid="ignore"):
-        oblique = angle_deg > OBLIQUE_DEG
+        t_s, oblique = thinning.flags(t_s, angle_deg > OBLIQUE_DEG)
     if np.any(oblique):
         for panel in axes:
             panel.fill_between(
@@ -174,13 +182,24 @@ def _draw_legend(figure: Figure, panels: Sequence[Sequence[Axes]], height_in: fl
     )
 
 
-def _title(joint: JointComparison) -> str:
+def _title(joint: JointComparison, name_letters: int) -> str:
     name = "read-back" if joint.against_measured else "command"
     agreement = joint.against_measured or joint.against_commanded
     if agreement is None:
         return joint.joint
     rmse = f"{three_digits(UNIT_SCALE[joint.unit] * agreement.rmse)} {UNIT_NAME[joint.unit]}"
-    return f"{shortened(joint.joint, 24)}: RMSE {rmse} to {name}"
+    return f"{shortened(joint.joint, name_letters)}: RMSE {rmse} to {name}"
+
+
+def _before(joint: JointComparison) -> str:
+    """The RMSE without the lag, where that is another number."""
+    agreement = joint.against_measured
+    if agreement is None or np.isnan(agreement.rmse_before_lag):
+        return ""
+    after, before = (
+        three_digits(UNIT_SCALE[joint.unit] * rmse) for rmse in (agreement.rmse, agreement.rmse_before_lag)
+    )
+    return "" if before == after else f"{before} before lag"
 
 
 def _percentile(values: FloatArray, percent: float) -> float:

@@ -18,9 +18,12 @@ from station.report.sections.joints import FIGURE7
 from station.report.style import DARK, LIGHT
 
 if TYPE_CHECKING:
+    from markupsafe import Markup
     from matplotlib.figure import Figure
 
 TEMPLATE = "page.html.j2"
+# Names up to this long stay whole on paper, too.
+UNBROKEN_LETTERS = 14
 
 
 def save_figure(figure: Figure, path: Path) -> None:
@@ -62,7 +65,7 @@ def page(material: Material, sections: Sequence[Section]) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.globals["inline"] = inline
+    environment.globals |= {"inline": inline, "breakable": breakable}
     compared = ", against what was commanded and what the servos read back" if material.comparison is not None else ""
     text = environment.get_template(TEMPLATE).render(
         title=material.title,
@@ -74,6 +77,14 @@ def page(material: Material, sections: Sequence[Section]) -> str:
     return text.replace(
         "&#39;", "'"
     )  # our attributes stand in double quotes; whoever reads the source wants apostrophes
+
+
+def breakable(text: str) -> Markup:
+    """A name that may be broken at its underscores where it is long and paper is narrow."""
+    from markupsafe import Markup, escape
+
+    safe = escape(text)
+    return safe if len(text) <= UNBROKEN_LETTERS else safe.replace("_", Markup("_<wbr>"))
 
 
 def inline(drawing: Drawing) -> str:

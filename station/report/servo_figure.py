@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from station.report import thinning
 from station.report.material import Servos
 from station.report.style import LIGHT, WIDTH_IN, styled
 from station.report.tables import shortened
@@ -42,7 +43,7 @@ def servo_figure(servos: Servos) -> Figure:
             for column in range(len(servos.names)):
                 if np.any(np.isfinite(values[:, column])):
                     look = {"color": COLOURS[column % len(COLOURS)], "ls": DASHES[column // len(COLOURS) % len(DASHES)]}
-                    panel.plot(servos.t_s, values[:, column], lw=1.0, **look)
+                    panel.plot(*thinning.line(servos.t_s, values[:, column]), lw=1.0, **look)
             panel.set_ylabel(name)
             panel.tick_params(labelbottom=panel is axes[-1])
         axes[0].margins(x=0)

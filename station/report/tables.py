@@ -133,12 +133,12 @@ def gain_text(agreement: Agreement | None) -> str:
 
 
 def session_lag_text(comparison: Comparison) -> str:
-    """What is known of the session's one lag and what was done about it: a sentence, without its full stop."""
+    """What is known of the session's one lag and what was done about it: at most 100 letters, no full stop."""
     lag = comparison.lag
     if comparison.clock_lag_s is not None:
         return f"the references' clock is {_seconds_text(comparison.clock_lag_s, lag.std_s)} behind: applied to them"
     if lag.lag_s is None:
-        return f"no lag between camera and read-back was applied: {lag.why_not}"
+        return f"no lag of the camera was applied: {lag.why_not}"
     trails = "trails" if lag.lag_s >= 0 else "leads"
     size = f"the camera {trails} the read-back by {_milliseconds_text(abs(lag.lag_s), lag.std_s)}"
     return f"{size}; not applied: {lag.why_not}" if lag.why_not else f"{size}: applied to the detection's times"

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from station.logs import FloatArray
+from station.report import thinning
 from station.report.material import Timing
 from station.report.style import LIGHT, WIDTH_IN, styled
 
@@ -69,7 +70,7 @@ def timing_figure(timing: Timing) -> Figure:
 
 def _draw_times(axes: Axes, title: str, t_s: FloatArray, interval_s: FloatArray, colour: str) -> None:
     axes.set_title(title, loc="left", fontsize=8.5, pad=3)
-    axes.plot(t_s, MS_PER_S * interval_s, color=colour, lw=0.7)
+    axes.plot(*thinning.line(t_s, MS_PER_S * interval_s), color=colour, lw=0.7)
     axes.set_ylabel("[ms]")
     axes.set_ylim(0, 1.1 * MS_PER_S * max(float(interval_s.max()), 1e-6))
 

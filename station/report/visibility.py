@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from station.logs import FloatArray
+from station.report import thinning
 from station.report.figure7 import OBLIQUE_DEG
 from station.report.style import LIGHT, WIDTH_IN, styled
 from station.report.tables import shortened
@@ -62,7 +63,7 @@ def visibility_figure(what: Visibility) -> Figure:
 def _draw_part(axes: Axes, row: int, part: str, what: Visibility) -> None:
     seen, oblique = what.seen[:, row], what.viewing_deg[:, row] > OBLIQUE_DEG
     for shown, colour in ((seen & ~oblique, LIGHT.viewing), (seen & oblique, LIGHT.oblique)):
-        axes.broken_barh(_runs(what.t_s, shown), (row - BAR / 2, BAR), facecolors=colour, linewidth=0)
+        axes.broken_barh(_runs(*thinning.flags(what.t_s, shown)), (row - BAR / 2, BAR), facecolors=colour, linewidth=0)
     beside = {"transform": axes.get_yaxis_transform(), "va": "center", "fontsize": 8.5}
     axes.text(-0.012, row, shortened(part, LABEL_LETTERS), ha="right", **beside)
     axes.text(1.012, row, f"{int(seen.sum())} of {len(seen)}", ha="left", **beside)

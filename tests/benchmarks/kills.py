@@ -100,7 +100,8 @@ def judge(done: Kill, session: Path, lines: list[Line], killed_ns: int) -> None:
         for kind, age_s in done.loss.age_s.items()
         if age_s > (0 if ended else WANTED_S)
     ]
-    if not ended and (wrong := untrue(session, recording)):
+    closed = ended or (done.phase == "closing" and done.loss.worst_s == 0)
+    if wrong := untrue(session, recording, complete=closed):
         done.failures.append(wrong)
     try:
         tree = fitting.fit(session, force=True).fit.tree

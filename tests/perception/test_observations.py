@@ -53,16 +53,3 @@ def test_a_log_keeps_what_it_was_given() -> None:
 def test_what_is_no_log_is_refused(t_s: list, frame: list, marker_id: list, message: str) -> None:
     with pytest.raises(InvalidData, match=message):
         ObservationLog(t_s=np.array(t_s), frame=np.array(frame), marker_id=np.array(marker_id), **values(len(frame)))
-
-
-def test_a_thinned_log_has_frames_from_beginning_to_end_with_all_that_was_seen_in_each() -> None:
-    builder = ObservationBuilder()
-    for k in range(100):
-        builder.add(0.1 * k, markers([1, 2, 3] if k % 2 else [4]))
-    log = builder.build()
-    thin = log.thinned(50)
-    assert (thin.t_s[0], thin.t_s[-1]) == (log.t_s[0], log.t_s[-1])
-    assert 40 <= len(thin) <= 60 and np.ptp(np.diff(thin.t_s)) < 0.11
-    for k, t_s in enumerate(thin.t_s):
-        assert thin.marker_id[thin.frame == k].tolist() == ([1, 2, 3] if round(t_s * 10) % 2 else [4])
-    assert log.thinned(len(log)) is log

@@ -87,12 +87,17 @@ class Bench:
     @contextmanager
     def capture(self, *more: str, session: Path | None = None, breaks: str = "") -> Iterator[Program]:
         """`station capture` of the motion, once the joint is well under way."""
-        motion = MOTION.format(joint=self.joint, goal=GOAL_DEG, speed=SPEED_DEG_S)
+        motion = motion_of(self.joint)
         arguments = capture_arguments(self.folder, *more, rig=str(self.rig), motion=motion, session=session)
         with program(self.folder, *arguments, session=session, breaks=breaks) as running:
             if not breaks:
                 running.wait_for(lambda: self.joint_deg() > 4.0, "motion")
             yield running
+
+
+def motion_of(joint: str) -> str:
+    """The motion.toml that takes a joint to its goal and has it wait there."""
+    return MOTION.format(joint=joint, goal=GOAL_DEG, speed=SPEED_DEG_S)
 
 
 def _streams(rig: str, gone: threading.Event):

@@ -65,10 +65,13 @@ def losses(recording: Recording, lines: Sequence[Line], killed_ns: int) -> Loss:
     return Loss(age_s, count, kept, tuple(wrong))
 
 
-def untrue(folder: Path, recording: Recording) -> str:
-    """What session.json of a killed session says that isn't so after it has been opened; empty if nothing."""
+def untrue(folder: Path, recording: Recording, *, complete: bool = False) -> str:
+    """What session.json of a killed session says that isn't so after it has been opened; empty if nothing.
+
+    `complete` says whether the recording may have been closed before the kill.
+    """
     status = read_status(folder)
-    if status.state != "interrupted":
+    if status.state != "interrupted" and not (complete and status.state == "complete" and not recording.notices):
         return f"session.json says '{status.state}'"
     have = {"frames": recording.frames, "readings": len(recording.measured.t_s)}
     said = {name: status.counts.get(name) for name in have}

@@ -41,8 +41,8 @@ def joints_section(material: Material) -> Section | None:
     blocks: list[Block] = [
         _table(comparison),
         Text(f"Lag: {session_lag_text(comparison)}."),
-        Text(ERRORS, soft=True),
         Drawing(FIGURE7, svg(figure7(comparison, material.viewing)), ALT),
+        Text(ERRORS, soft=True),
     ]
     if any(joint.against_measured for joint in comparison.joints):
         blocks.append(Text(ROUNDING, soft=True))

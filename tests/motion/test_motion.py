@@ -12,14 +12,14 @@ LIFT = JointLimits("lift", 0.0, 0.3, 0.1, unit="m")
 
 
 def test_a_step_lasts_until_its_slowest_joint_arrives_and_rests():
-    plan = plan_motion(Motion("m", (MotionStep({"pan": -0.5, "lift": 0.2}, hold_s=0.25),)), (PAN, LIFT))
+    plan = plan_motion(Motion("m", (MotionStep({"pan": 0.3, "lift": 0.2}, hold_s=0.25),)), (PAN, LIFT))
     (segment,) = plan.segments
-    assert segment.move_s == pytest.approx(2.0)  # lift: 0.2 m at 0.1 m/s; pan needs 1 s
+    assert segment.move_s == pytest.approx(2.0)  # lift: 0.2 m at 0.1 m/s; pan needs 0.6 s
     assert plan.duration_s == pytest.approx(2.25)
 
 
 def test_step_mode_commands_the_target_at_once_and_stream_mode_interpolates():
-    steps = (MotionStep({"pan": -0.5}, hold_s=1.0), MotionStep({"pan": 0.5}, speed=0.5))
+    steps = (MotionStep({"pan": -0.5}, speed=1.0, hold_s=1.0), MotionStep({"pan": 0.5}, speed=0.5))
     step = plan_motion(Motion("m", steps), (PAN,))
     np.testing.assert_allclose(step.commanded([-1.0, 0.0, 1.9, 2.0, 99.0])[:, 0], [0.5, -0.5, -0.5, 0.5, 0.5])
     np.testing.assert_allclose(step.command_times_s(), [0.0, 2.0])
