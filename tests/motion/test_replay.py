@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from station.capture.service import Capture
+from station.commands import planning
 from station.commands.motion_sources import read_motion
 from station.errors import InvalidData, InvalidFile, StationError
 from station.formats.motion import parse_motion
@@ -14,6 +17,7 @@ from station.logs import FloatArray, JointLog
 from station.motion import SLOW, JointLimits, Motion, MotionStep, Plan, Replay, plan_motion, replay_of
 from station.recording import RecordingWriter
 from tests.made_sessions import CAMERA, MARKERS, START_NS, describe
+from tests.test_capture import NoFrames, Writer, demo_rig, with_camera
 
 PAN = JointLimits("pan", -1.5, 1.5, 2.0, park=0.5)
 LIFT = JointLimits("lift", 0.0, 0.3, 0.2, park=0.1, unit="m")
@@ -189,3 +193,18 @@ def test_sources_that_arent_there_or_are_wrong_are_refused_with_their_name(tmp_p
     short = write_csv(tmp_path / "short.csv", JointLog(np.array([0.0, 0.1]), ("pan",), np.zeros((2, 1)), ("rad",)))
     assert refused(short) == f"{short}: 2 joint states are too little to replay; want 0.5 s or more"
     assert "gone" in refused(write_naming(tmp_path / "named.toml", "gone"))
+
+
+def test_what_was_changed_is_told_by_the_plan_and_while_it_is_captured(station, tmp_path: Path):
+    t_s = np.linspace(0.0, 1.0, 51)
+    quick = JointLog(t_s, ("base_pan",), 0.2 * (1 - np.cos(2 * np.pi * t_s))[:, None], ("rad",))
+    source = write_csv(tmp_path / "quick.csv", quick)
+    told = "slowed 3."
+    code, _, said = station("plan", "demo", source)
+    assert code == 0 and f"note: {told}" in said
+    _, text, _ = station("plan", "demo", source, "--json")
+    assert json.loads(text)["notes"][0].startswith(told)
+    writer = Writer()
+    with demo_rig() as rig:
+        Capture(with_camera(rig, NoFrames(rig)), planning.plan("demo", str(source)), writer).run()
+    assert any(event.startswith(f"WARN {told}") for event in writer.events)
