@@ -96,7 +96,7 @@ def open_rig(
         DriverError: a port or camera that isn't there.
     """
     table, simulation = rig.table, rig.table.simulation
-    emulated, rendered = _check_simulated(rig, simulate)
+    emulated, rendered = check_simulated(rig, simulate)
     virtual = rendered and not realtime
     clock: Clock = VirtualClock() if virtual else MonotonicClock()
     if simulation is not None and seed is None:
@@ -125,7 +125,7 @@ def open_rig(
         yield Rig(table, clock, virtual, arm, camera, rig.camera_model, table.marker_table(), simulated_seed)
 
 
-def _check_simulated(rig: RigFile, simulate: bool) -> tuple[bool, bool]:
+def check_simulated(rig: RigFile, simulate: bool) -> tuple[bool, bool]:
     """Whether the bus is emulated and the camera rendered; raises InvalidData where that can't be."""
     table = rig.table
     emulated = bool(table.joint) and (simulate or table.bus.port == EMULATED)

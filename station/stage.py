@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from calibration.intrinsics import CameraModel
+from station.drawn import drawn_box, drawn_camera, drawn_colour, drawn_plate
 from station.formats.rig import RigTable
 from station.formats.simulation import SimulatedBox, SimulatedPlate, SimulationTable, metres
 from station.kinematics import se3
@@ -17,31 +18,10 @@ from station.perception.markers import MarkerTable
 from station.simulate.render import SceneRenderer
 from station.simulate.scene import Box, CameraOptics, Plate
 
-UP = np.array([0.0, 0.0, 1.0])
 # Parts of the image between whose edges the motion under a rolling shutter is taken to be even. What that leaves out
 # is at most an eighth of the acceleration times the part's time squared: 0.015 px at 25 ms of readout, 10 rad/s2 and
 # 300 px from the axis.
 SHUTTER_BANDS = 4
-
-
-def _unit(v: ArrayLike) -> FloatArray:
-    v = np.asarray(v, dtype=np.float64)
-    return v / np.linalg.norm(v)
-
-
-def look_at(position_m: FloatArray, target_m: FloatArray) -> FloatArray:
-    """(4, 4) T_world_camera of a camera upright at `position_m` (3,) that looks at `target_m` (3,)."""
-    forward = _unit(target_m - position_m)
-    right = _unit(np.cross(forward, UP))
-    return se3.pose(np.stack([right, np.cross(forward, right), forward], axis=-1), position_m)
-
-
-def facing(position_m: FloatArray, normal: ArrayLike, up: ArrayLike) -> FloatArray:
-    """(4, 4) pose of a plate at `position_m` (3,), its z along `normal` (3,), its y as near `up` (3,) as can be."""
-    z = _unit(normal)
-    y = np.asarray(up, dtype=np.float64)
-    y = _unit(y - z * (y @ z))
-    return se3.pose(np.stack([np.cross(y, z), y, z], axis=-1), position_m)
 
 
 class Stage:
@@ -64,7 +44,7 @@ class Stage:
         self._bodies = simulation.bodies()
         misplaced = _Misplacement(simulation, seed)
         camera = simulation.camera
-        self.T_camera_root = se3.inverse(misplaced(look_at(metres(camera.position_mm), metres(camera.look_at_mm))))
+        self.T_camera_root = se3.inverse(misplaced(drawn_camera(camera)))
         self.plates = tuple(self._plate(plate, rig.marker_table(), misplaced) for plate in simulation.plate)
         boxes = tuple(self._box(box) for box in simulation.box)
         optics = CameraOptics(
@@ -82,14 +62,11 @@ class Stage:
 
     def _plate(self, plate: SimulatedPlate, markers: MarkerTable, misplaced: _Misplacement) -> Plate:
         size_m = next(marker.size_m for marker in markers.markers if marker.id == plate.id)
-        T_body_marker = misplaced(facing(metres(plate.position_mm), plate.normal, plate.up))
+        T_body_marker = misplaced(drawn_plate(plate))
         return Plate(self._bodies.index(plate.body), T_body_marker, size_m, plate.margin_mm / 1e3, plate.id)
 
     def _box(self, box: SimulatedBox) -> Box:
-        roll, pitch, yaw = (se3.exp_so3(np.radians(a) * axis) for a, axis in zip(box.rpy_deg, np.eye(3), strict=True))
-        T_body_box = se3.pose(yaw @ pitch @ roll, metres(box.position_mm))
-        red, green, blue = (int(box.colour[i : i + 2], 16) for i in (1, 3, 5))
-        return Box(self._bodies.index(box.body), T_body_box, metres(box.size_mm), (blue, green, red))
+        return Box(self._bodies.index(box.body), drawn_box(box), metres(box.size_mm), drawn_colour(box))
 
     def T_camera_bodies(self, q: FloatArray) -> FloatArray:
         """(..., B, 4, 4) true poses of the bodies in the camera for joint angles q (..., J) in the rig's order."""

@@ -8,11 +8,13 @@ import pytest
 
 from calibration.intrinsics import CameraModel
 from drivers.errors import NoCamera, NoPort
+from station.drawn import facing, look_at
 from station.errors import InvalidData, InvalidFile
 from station.formats.rig import load_calibration, parse_rig
+from station.mechanism import mechanism
 from station.rig import load_rig, open_rig
 from station.rig_reading import joint_configs, packaged, packaged_names
-from station.stage import Stage, facing, look_at, mechanism
+from station.stage import Stage
 
 DEMO = packaged("rigs", "demo").read_text(encoding="utf-8")
 

@@ -12,6 +12,7 @@ import typer
 
 from station.cli.app import app
 from station.cli.options import (
+    DryRun,
     Force,
     Headless,
     Json,
@@ -65,10 +66,14 @@ def run(
     view: View = False,
     headless: Headless = False,
     port: Port = None,
+    dry_run: DryRun = False,
     force: Force = False,
     as_json: Json = False,
 ) -> None:
     """Capture, fit, compare and report in one go."""
+    if dry_run:
+        _show_dry_run(rig, motion, out, simulate=simulate, force=force, as_json=as_json)
+        return
     with live_view(view=view, headless=headless, port=port) as live:
         _run(rig, motion, out, as_json, live, seed=seed, simulate=simulate, realtime=realtime, force=force)
 
@@ -116,6 +121,7 @@ def capture(
     view: View = False,
     headless: Headless = False,
     port: Port = None,
+    dry_run: DryRun = False,
     force: Force = False,
     as_json: Json = False,
 ) -> None:
@@ -136,6 +142,11 @@ def capture(
         raise typer.BadParameter("want a motion, or --hand" if not hand else "want a motion or --hand, not both")
     if duration_s is not None and not hand:
         raise typer.BadParameter("--duration-s goes with --hand; a motion lasts as long as it does")
+    if dry_run:
+        if motion is None:
+            raise typer.BadParameter("--dry-run goes with RIG and MOTION: what a hand will do nobody knows")
+        _show_dry_run(str(rig), motion, Path(str(out)), simulate=simulate, force=force, as_json=as_json)
+        return
     with live_view(view=view, headless=headless, port=port) as live:
         settings = {"live": live, "realtime": realtime}
         if resume is not None:
@@ -176,6 +187,12 @@ def _show_counts(counts: CaptureCounts) -> None:
     for name, number in counts.as_dict().items():
         if number or name in always:
             print(f"{name.replace('_', ' '):22} {number}")
+
+
+def _show_dry_run(rig: str, motion: str, out: Path, *, simulate: bool, force: bool, as_json: bool) -> None:
+    from station.cli.plan import show_dry_run
+
+    show_dry_run(rig, motion, out, simulate=simulate, force=force, as_json=as_json)
 
 
 @contextmanager

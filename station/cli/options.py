@@ -43,6 +43,9 @@ Port = Annotated[
     int | None,
     typer.Option("--port", min=1, max=65535, help="Port of the live view; else a free one.", show_default=False),
 ]
+DryRun = Annotated[
+    bool, typer.Option("--dry-run", help="Check the motion and foresee what the camera will see; opens no device.")
+]
 Yes = Annotated[bool, typer.Option("--yes", help="Don't ask: the arm is held, and may drop.")]
 RigArgument = Annotated[
     str, typer.Argument(metavar="RIG", help="Rig: a file, or the name of a packaged one such as demo.")

@@ -27,6 +27,23 @@ DICTIONARY_SIZES = {
     "DICT_ARUCO_MIP_36h12": 250,
 }
 
+# Bits along a side of the dictionaries that don't say it in their names as DICT_4X4_50 does.
+NAMED_OTHERWISE = {
+    "DICT_ARUCO_ORIGINAL": 5,
+    "DICT_APRILTAG_16h5": 4,
+    "DICT_APRILTAG_25h9": 5,
+    "DICT_APRILTAG_36h10": 6,
+    "DICT_APRILTAG_36h11": 6,
+    "DICT_ARUCO_MIP_36h12": 6,
+}
+
+
+def cells_along(dictionary: str) -> int:
+    """Cells along a side of a dictionary's markers, the black border included; raises InvalidData for no dictionary."""
+    check_dictionary(dictionary)
+    bits = NAMED_OTHERWISE.get(dictionary) or int(dictionary.removeprefix("DICT_")[0])
+    return bits + 2
+
 
 def check_dictionary(name: str) -> None:
     """Raise InvalidData unless `name` is one of OpenCV's predefined ArUco dictionaries; lists them if not."""

@@ -55,6 +55,8 @@ if TYPE_CHECKING:
 
 NS_PER_S = 1e9
 COUNTED = ("frames", "commands", "readings", "events")
+# Of these those that are rows of the recording; commands are counted by who sends them, if anybody does.
+ROWS = ("frames", "readings", "events")
 
 
 class RecordingWriter:
@@ -363,7 +365,8 @@ class RecordingWriter:
     def _total(self, counts: Mapping[str, int] | None) -> Mapping[str, int]:
         """The session's counts: this program's, and those of the ones before."""
         before = self._earlier.status.counts if self._earlier else {}
-        own = {**self._counts, **(counts or {})}
+        # What was handed over to be recorded and failed in here is in others' counts, and not in the file.
+        own = {**self._counts, **(counts or {}), **{name: self._counts[name] for name in ROWS}}
         return {name: before.get(name, 0) + own.get(name, 0) for name in {**before, **own}}
 
     def _check_open(self) -> None:

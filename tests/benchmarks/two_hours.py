@@ -35,7 +35,7 @@ JOINTS = ("base_pan", "shoulder", "elbow", "wrist")
 SAME_DEG = 0.1
 FLAT_MB = 10.0
 # What a fit is said to take at most (docs/python.md), MB.
-FIT_MB = 2500.0
+FIT_MB = 4500.0
 STATION = (sys.executable, "-c", "from station.cli import main; main()")
 
 

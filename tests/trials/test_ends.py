@@ -95,7 +95,8 @@ def test_a_part_of_the_program_that_breaks_ends_the_capture(tmp_path: Path, rig:
         assert code == 1 and "broke" in said
         check_left(lab, "park-then-release")
         recording = check_session(running)
-        assert any("broke" in event.text for event in recording.events)
+        # What breaks in the recorder's thread, to which the servo loop hands its rows, is told on the terminal alone.
+        assert any("broke" in event.text for event in recording.events) == (part == "detection")
 
 
 @ON_BOTH

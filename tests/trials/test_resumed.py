@@ -7,12 +7,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from station.commands import fitting, reporting
+from station.commands import capturing, fitting, reporting
 from station.recording import Recording
 from station.session import read_status
 from tests.trials.programs import Program, capture_arguments, program
 
 JOINTS = {"base_pan", "shoulder", "elbow", "wrist"}
+# On a busy machine servos' answers, and with them their stamps, come up to tens of ms late: a degree at 40 deg/s.
+BUSY_DEG = 1.0
 
 
 def killed_in_leg(running: Program, leg: int) -> None:
@@ -21,7 +23,7 @@ def killed_in_leg(running: Program, leg: int) -> None:
         lambda: any(line.word == "event" and line.text == f"step {leg}" for line in running.lines()), f"leg {leg}"
     )
     frames = sum(line.word == "frame" for line in running.lines())
-    running.wait_for_frames(frames + 8)
+    running.wait_for_frames(frames + 2)
     running.kill()
 
 
@@ -33,13 +35,12 @@ def errors_deg(session: Path) -> dict[str, float]:
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A session that nobody disturbed."""
+    """A session that nobody disturbed, on the virtual clock."""
     folder = tmp_path_factory.mktemp("whole")
-    with program(folder, *capture_arguments(folder)) as running:
-        code, said = running.end()
-    assert code == 0, said
-    fitting.fit(running.session)
-    return running.session
+    capture_arguments(folder)
+    capturing.capture("demo", str(folder / "motion.toml"), folder / "session", seed=0)
+    fitting.fit(folder / "session")
+    return folder / "session"
 
 
 def test_a_session_that_was_killed_twice_and_gone_on_with_is_whole(tmp_path: Path, whole: Path) -> None:
@@ -68,4 +69,4 @@ def test_a_session_that_was_killed_twice_and_gone_on_with_is_whole(tmp_path: Pat
     assert {(joint.name, joint.type) for joint in tree.joints} == {(name, "revolute") for name in JOINTS}
     have, want = errors_deg(session), errors_deg(whole)
     assert have.keys() == want.keys() == JOINTS
-    assert all(have[joint] < 2 * want[joint] + 0.1 for joint in JOINTS), (have, want)
+    assert all(have[joint] < want[joint] + BUSY_DEG for joint in JOINTS), (have, want)
