@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, TypedDict, Unpack
 
 import numpy as np
 
-from station.commands.planning import planned_motion
+from station.commands.planning import planned_motion, room_remarks
 from station.errors import InvalidData
 from station.formats.camera import format_camera, parse_camera
 from station.formats.markers import format_markers
@@ -118,7 +118,7 @@ def record_motion(
             writer,
             live=live,
             lengthening=Lengthening(motion_text, settings.get("until_enough", 0)),
-            remarks=_remarks(rig_file, planned, out, settings),
+            remarks=room_remarks(rig_file, planned, out, settings.get("frames", "jpeg")),
             **_wishes(rig_file, settings),
         ).run()
 
@@ -171,7 +171,7 @@ def resume(session: Path, **settings: Unpack[CaptureSettings]) -> CaptureCounts:
             first_leg=first_leg,
             lengthening=Lengthening(motion_text, settings.get("until_enough", 0)),
             motion=moved,
-            remarks=_remarks(rig_file, planned, session, settings),
+            remarks=room_remarks(rig_file, planned, session, settings["frames"]),
             **_wishes(rig_file, settings),
         ).run()
 
@@ -270,14 +270,6 @@ def _check_frames(settings: CaptureSettings) -> None:
     from station.recording.lossless import check_kind
 
     check_kind(settings.get("frames", "jpeg"))
-
-
-def _remarks(rig_file: RigFile, planned: Plan, out: Path, settings: CaptureSettings) -> tuple[str, ...]:
-    """What to warn of at the start."""
-    from station.recording.sizes import expected_rates, room_warning
-
-    rates = expected_rates(rig_file.table, settings.get("frames", "jpeg"))
-    return tuple(filter(None, [room_warning(out, rates, planned.duration_s)]))
 
 
 def _opened(
