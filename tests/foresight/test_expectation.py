@@ -18,11 +18,11 @@ def test_a_step_is_gone_at_its_speed_and_then_rests():
 
 
 def test_each_joint_of_a_step_arrives_by_its_own_speed():
-    limits = [JointLimits("slow", -9, 9, 0.5), JointLimits("quick", -9, 9, 2.0)]
-    planned = plan_motion(Motion("two", (MotionStep({"slow": 1.0, "quick": -1.0}),)), limits)
+    limits = [JointLimits("slow", -9, 9, 0.1), JointLimits("quick", -9, 9, 0.3)]  # under the default speed
+    planned = plan_motion(Motion("two", (MotionStep({"slow": 0.2, "quick": -0.3}),)), limits)
     assert planned.duration_s == pytest.approx(2.0)
-    assert expected_states(planned, np.array([0.25, 0.5, 2.0])) == pytest.approx(
-        np.array([[0.125, -0.5], [0.25, -1.0], [1.0, -1.0]])
+    assert expected_states(planned, np.array([0.5, 1.0, 2.0])) == pytest.approx(
+        np.array([[0.05, -0.15], [0.1, -0.3], [0.2, -0.3]])
     )
 
 
