@@ -82,7 +82,7 @@ def _run(rig: str, motion: str, out: Path, as_json: bool, live: LiveServer | Non
     from station.cli.attending import attended
     from station.commands import capturing, sessions
 
-    with attended(out, live) as attendant:
+    with attended(out, live, fits=True) as attendant:
         capturing.capture(rig, motion, out, live=live, **attendant.settings(), **settings)
     with progress() as bar:
         comparison = sessions.conclude(out, stage=bar.stage)
