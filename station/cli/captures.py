@@ -102,7 +102,10 @@ def capture(
     ] = None,
     motion: Annotated[
         str | None,
-        typer.Argument(metavar="[MOTION]", help="Motion: a file, or a packaged one's name; none with --hand."),
+        typer.Argument(
+            metavar="[MOTION]",
+            help="Motion: a file, a packaged one's name, or a session or commands.csv to replay; none with --hand.",
+        ),
     ] = None,
     out: Annotated[
         Path | None, typer.Option("--out", help="Session folder; must be new or empty.", show_default=False)
