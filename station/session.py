@@ -21,6 +21,8 @@ STATES = ("recording", "complete", "interrupted")
 RECORDING_FILE = "recording.rrd"
 # A session that was gone on with has further pieces until they are joined; this one, while it is there, is all of them.
 JOINED_FILE = "recording.joined.rrd"
+# While it is made.
+JOINING_FILE = "recording.joined.rrd.part"
 STATUS_FILE = "session.json"
 # The next session.json is written here before it takes the place of the last one.
 RESERVE_FILE = "session.json.part"
@@ -176,7 +178,7 @@ def _piece_numbers(folder: Path) -> list[int]:
 
 def clear_session(folder: Path) -> None:
     """Remove an earlier session's files, fit and report, so that nothing of it passes for the next one's."""
-    names = (RECORDING_FILE, JOINED_FILE, STATUS_FILE, RESERVE_FILE, RIG_FILE, MOTION_FILE)
+    names = (RECORDING_FILE, JOINED_FILE, JOINING_FILE, STATUS_FILE, RESERVE_FILE, RIG_FILE, MOTION_FILE)
     videos = lossless_files(folder)
     stamps = [video.with_suffix(".csv") for video in videos]
     for path in (*(folder / name for name in names), *later_pieces(folder), *videos, *stamps):
