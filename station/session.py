@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import re
@@ -21,6 +22,8 @@ STATES = ("recording", "complete", "interrupted")
 RECORDING_FILE = "recording.rrd"
 # A session that was gone on with has further pieces until they are joined; this one, while it is there, is all of them.
 JOINED_FILE = "recording.joined.rrd"
+# While it is made.
+JOINING_FILE = "recording.joined.rrd.part"
 STATUS_FILE = "session.json"
 # The next session.json is written here before it takes the place of the last one.
 RESERVE_FILE = "session.json.part"
@@ -100,6 +103,7 @@ class SessionStatus:
         versions: of the programs that made it.
         progress: the last checkpoint that was reached; None before the first, and where there is no plan.
         starts: of the programs that recorded, the first one included; none in sessions made before 0.2.0.
+        motion_sha256: of motion.toml, where the motion was lengthened; else it is as in the recording.
         images: how they are kept: "jpeg", "none" or "ffv1"; None in sessions that don't say.
 
     Raises:
@@ -115,6 +119,7 @@ class SessionStatus:
     versions: Mapping[str, str] = field(default_factory=dict)
     progress: Checkpoint | None = None
     starts: tuple[SessionStart, ...] = ()
+    motion_sha256: str | None = None
     images: str | None = None
 
     def __post_init__(self) -> None:
@@ -138,7 +143,7 @@ def piece_file(number: int) -> str:
 def recording_pieces(folder: Path) -> list[Path]:
     """The files that together are the session's recording, in order; none where nothing was recorded.
 
-    A session that was gone on with has several, until they are joined.
+    A long one has several, and one that was gone on with, until they are joined.
     """
     if (joined := folder / JOINED_FILE).exists():
         return [joined]
@@ -168,7 +173,7 @@ def next_piece(folder: Path) -> int:
 
 
 def later_pieces(folder: Path) -> list[Path]:
-    """The files after the first one, in order, that were begun when the session was gone on with."""
+    """The files after the first one, in order."""
     return [folder / piece_file(number) for number in _piece_numbers(folder)]
 
 
@@ -180,7 +185,16 @@ def _piece_numbers(folder: Path) -> list[int]:
 
 def clear_session(folder: Path) -> None:
     """Remove an earlier session's files, fit and report, so that nothing of it passes for the next one's."""
-    names = (RECORDING_FILE, JOINED_FILE, STATUS_FILE, RESERVE_FILE, RIG_FILE, MOTION_FILE, NEXT_MOTION_FILE)
+    names = (
+        RECORDING_FILE,
+        JOINED_FILE,
+        JOINING_FILE,
+        STATUS_FILE,
+        RESERVE_FILE,
+        RIG_FILE,
+        MOTION_FILE,
+        NEXT_MOTION_FILE,
+    )
     videos = lossless_files(folder)
     stamps = [video.with_suffix(".csv") for video in videos]
     for path in (*(folder / name for name in names), *later_pieces(folder), *videos, *stamps):
@@ -204,6 +218,11 @@ def write_status(folder: Path, status: SessionStatus) -> None:
         file.flush()
         os.fsync(file.fileno())
     part.replace(folder / STATUS_FILE)
+
+
+def motion_sha256(text: str) -> str:
+    """By which session.json knows its motion.toml."""
+    return hashlib.sha256(text.encode()).hexdigest()
 
 
 def stage_motion(folder: Path, text: str) -> None:

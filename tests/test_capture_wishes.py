@@ -105,6 +105,23 @@ def test_a_stop_before_torque_is_on_leaves_the_arm_as_it_was_found(tmp_path: Pat
         assert not any(bench.each("torque_enable")) and bench.writer.state == "interrupted"
 
 
+def test_a_pause_while_servos_are_checked_goes_on_after_it(tmp_path: Path) -> None:
+    with lab(tmp_path, "demo", QUIET) as bench:
+        control, asked = Control(), []
+
+        def watch(shot: Snapshot) -> None:
+            if shot.state == State.CHECKING and not asked:
+                asked.append(shot)
+                control.pause()
+            elif shot.state == State.PAUSED and control.wish is Wish.PAUSE:
+                assert not any(bench.each("torque_enable"))
+                control.resume()
+
+        captured(bench, control, watch=watch)
+        assert states_of(bench)[:4] == ["checking", "paused", "checking", "moving"]
+        assert bench.writer.state == "complete" and bench.writer.counts["pauses"] == 1
+
+
 @ON_BOTH
 def test_a_pause_while_parking_holds_the_arm_and_it_parks_after(tmp_path: Path, name: str) -> None:
     with lab(tmp_path, name, QUIET) as bench:

@@ -158,7 +158,7 @@ def test_remarks_are_recorded_and_shown_before_anything_moves(tmp_path: Path, mo
     fast = f'{head}{step}replay = {{ file = "first" }}\n'
     capturing.capture("demo", motion_file(tmp_path, fast), tmp_path / "s", watch=shots.append)
     events = [event.text for event in Recording.load(tmp_path / "s").events]
-    note = next(k for k, text in enumerate(events) if text.startswith("motion: first: ") and "slow" in text)
+    note = next(k for k, text in enumerate(events) if text.startswith("first: ") and "slow" in text)
     room = next(k for k, text in enumerate(events) if "make room" in text)
     assert max(note, room) < events.index("state: moving")
     assert any("make room" in shot.said for shot in shots)

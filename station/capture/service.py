@@ -98,12 +98,10 @@ class Capture:
         """Check the servos and switch torque on where the arm stands."""
         crew, arm = self._crew, self._crew.rig.arm
         crew.states.to(State.CHECKING)
-        for note in self._plan.motion.notes:
-            crew.journal.info(f"motion: {note}")
-        for remark in self._remarks:
-            crew.journal.warn(remark)
         arm.connect()
         crew.journal.info(f"connected: {', '.join(arm.names)}")
+        for remark in (*self._plan.motion.notes, *self._remarks):
+            crew.journal.warn(remark)
         heed(crew, holds=False)
         self._powered = True
         arm.torque_on()

@@ -29,10 +29,10 @@ class State(StrEnum):
 
 FOLLOWS: dict[State, frozenset[State]] = {
     State.IDLE: frozenset({State.CHECKING}),
-    State.CHECKING: frozenset({State.MOVING, State.PARKING, State.FAULT, State.IDLE}),
+    State.CHECKING: frozenset({State.MOVING, State.PAUSED, State.PARKING, State.FAULT, State.IDLE}),
     State.MOVING: frozenset({State.HOLDING, State.PAUSED, State.PARKING, State.FAULT, State.IDLE}),
     State.HOLDING: frozenset({State.MOVING, State.PAUSED, State.PARKING, State.FAULT, State.IDLE}),
-    State.PAUSED: frozenset({State.MOVING, State.HOLDING, State.PARKING, State.FAULT, State.IDLE}),
+    State.PAUSED: frozenset({State.CHECKING, State.MOVING, State.HOLDING, State.PARKING, State.FAULT, State.IDLE}),
     State.PARKING: frozenset({State.PAUSED, State.IDLE, State.FAULT}),
     State.FAULT: frozenset({State.PARKING, State.IDLE}),
 }

@@ -15,6 +15,7 @@ from station.commands.planning import planned_motion, room_remarks
 from station.errors import InvalidData
 from station.formats.camera import format_camera, parse_camera
 from station.formats.markers import format_markers
+from station.formats.text import read_text
 from station.motion import Plan
 from station.session import (
     MOTION_FILE,
@@ -22,7 +23,9 @@ from station.session import (
     RIG_FILE,
     Checkpoint,
     SessionDescription,
+    SessionStatus,
     check_output_folder,
+    motion_sha256,
     read_status,
     take_staged_motion,
 )
@@ -145,7 +148,7 @@ def resume(session: Path, **settings: Unpack[CaptureSettings]) -> CaptureCounts:
     recording = Recording.load(session)
     about = recording.description
     rig_file, status = _own_rig(session, about), read_status(session)
-    planned, motion_text = _own_motion(session, rig_file, status.progress)
+    planned, motion_text = _own_motion(session, rig_file, about, status)
     first_leg = _leg_to_go_on_from(session, planned, status.progress)
     moved = _moved_so_far(recording, rig_file.table)
     del recording  # hours of it are gigabytes
@@ -195,13 +198,19 @@ def _own_rig(session: Path, about: SessionDescription) -> RigFile:
     return RigFile(table, text, str(path), parse_camera(about.camera, f"{session}, camera.toml"))
 
 
-def _own_motion(session: Path, rig_file: RigFile, reached: Checkpoint | None) -> tuple[Plan, str]:
-    """The session's motion: the one with further legs if a kill came between the first of them and its motion.toml."""
+def _own_motion(session: Path, rig_file: RigFile, about: SessionDescription, status: SessionStatus) -> tuple[Plan, str]:
+    """The session's motion, lengthened if it was: also where a kill came before the new one was motion.toml."""
+    own = status.motion_sha256 or motion_sha256(about.motion or "")
+    staged = session / NEXT_MOTION_FILE
+    if staged.exists() and motion_sha256(read_text(staged, "motion")) == own:
+        take_staged_motion(session)
     planned, text = planned_motion(rig_file, str(session / MOTION_FILE))
-    if reached is None or reached.legs == len(planned.segments) or not (session / NEXT_MOTION_FILE).exists():
-        return planned, text
-    take_staged_motion(session)
-    return planned_motion(rig_file, str(session / MOTION_FILE))
+    if motion_sha256(text) != own:
+        raise InvalidData(
+            f"{session / MOTION_FILE} isn't the motion that the session was captured with\n"
+            "put the session's own back (the recording has it, the report shows it), or record into another folder"
+        )
+    return planned, text
 
 
 def _moved_so_far(recording: Recording, table: RigTable) -> MotionTally:

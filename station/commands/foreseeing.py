@@ -35,7 +35,7 @@ class Outlook:
         forecast: None where nothing is known of the mechanism or its markers.
         joints: of the forecast.
         warnings: what is doubtful, in words.
-        notes: what was done to the motion, what the forecast rests on, or what it lacks.
+        notes: what the forecast rests on, or what it lacks.
     """
 
     plan: Plan
@@ -75,12 +75,12 @@ def foresee_motion(
     dictionary, room = rig_file.table.markers.dictionary, room_remarks(rig_file, plan, folder or Path.cwd(), frames)
     scene, lacking = _scene(rig_file, tree, simulate=simulate)
     if scene is None or not scene.mounts:
-        notes = (*plan.motion.notes, *lacking, *(scene.notes if scene else ()))
+        notes = (*lacking, *(scene.notes if scene else ()))
         return Outlook(plan, dictionary, None, (), room, notes)
     forecast = foresee(plan, scene, frame_times_s(plan.duration_s, rig_file.table.camera.fps))
     joints = joint_outlooks(forecast)
     warnings = (*forecast_remarks(forecast, joints), *room)
-    return Outlook(plan, dictionary, forecast, joints, warnings, (*plan.motion.notes, *scene.notes))
+    return Outlook(plan, dictionary, forecast, joints, warnings, scene.notes)
 
 
 def _scene(rig: RigFile, tree: Path | None, *, simulate: bool) -> tuple[Scene | None, tuple[str, ...]]:
@@ -163,7 +163,7 @@ def outlook_document(outlook: Outlook) -> dict[str, object]:
     forecast = outlook.forecast
     return {
         "warnings": list(outlook.warnings),
-        "notes": list(outlook.notes),
+        "notes": [*outlook.plan.motion.notes, *outlook.notes],
         "forecast": None
         if forecast is None
         else {

@@ -9,7 +9,7 @@ from pathlib import Path
 from station.errors import StationError
 from station.recording.lock import SessionLock
 from station.recording.reader import Recording
-from station.recording.repair import cut_torn_end
+from station.recording.repair import cut_torn_end, finish_joining
 from station.session import SessionDescription, SessionStatus, next_piece, read_status, recording_pieces
 
 # At least between the last row that was recorded and the first one after it, whatever the wall clock says, s.
@@ -56,6 +56,7 @@ def read_earlier(folder: Path, since_last_s: float | None) -> Earlier:
         status = read_status(folder)
         if status.state == "complete":
             raise StationError(f"{folder} is complete; there is nothing to go on with\nrecord into another folder")
+        finish_joining(folder)
         for piece in recording_pieces(folder):
             cut_torn_end(piece)  # or it would be copied to be read
         recording = Recording.read(folder)

@@ -14,8 +14,8 @@ try:
 except ImportError:  # pragma: no cover (Windows has no flock; there two programs could record into one folder)
     fcntl = None
 
-# A file system without locks, as some of the network have none: there nobody is kept out.
-NO_LOCKS = (errno.ENOLCK, errno.EOPNOTSUPP, errno.ENOSYS)
+# Any other error means a file system without locks, as some of the network have none.
+TAKEN = (errno.EWOULDBLOCK, errno.EACCES)
 
 
 class SessionBusy(StationError):
@@ -27,6 +27,10 @@ class SessionLock:
 
     The lock is on the folder itself (flock), so that it leaves no file behind and is gone with whoever held it.
 
+    Attributes:
+        exclusive: whether others are kept out; not on a file system without locks. (Without flock, as on Windows, a
+            file that is being recorded can't be replaced either.)
+
     Raises:
         SessionBusy: somebody else has it.
         StationError: the folder isn't there, or can't be read.
@@ -34,6 +38,7 @@ class SessionLock:
 
     def __init__(self, folder: Path) -> None:
         self._fd = -1
+        self.exclusive = True
         if fcntl is None:
             return
         try:
@@ -44,7 +49,8 @@ class SessionLock:
             fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError as error:
             os.close(fd)
-            if error.errno in NO_LOCKS:
+            if error.errno not in TAKEN:
+                self.exclusive = False
                 return
             raise SessionBusy(
                 f"{folder} is being recorded or repaired, by another program or this one\nwait for its end, or stop it"

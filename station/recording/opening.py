@@ -124,4 +124,5 @@ def notices_on(path: Path, framing: Framing) -> tuple[str, ...]:
         return ()
     if not framing.torn:
         return (f"{path.name} was not closed: what was logged after its last flush is lost",)
-    return (f"{path.name} was cut: read up to its last whole message, {framing.size - framing.whole} bytes left out",)
+    what = "was cut" if framing.cut else "is damaged"
+    return (f"{path.name} {what}: read up to its last whole message, {framing.size - framing.whole} bytes left out",)

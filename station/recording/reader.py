@@ -118,7 +118,23 @@ class Recording:
 
     @classmethod
     def read(cls, path: Path, notices: Sequence[str] = (), *, most_markers: int | None = None) -> Recording:
-        """As `load`, but nothing is repaired; `notices` are put before those of reading."""
+        """As `load`, but nothing is repaired; `notices` are put before those of reading.
+
+        Where another program repairs the files meanwhile, they are read once more.
+        """
+        while True:
+            files = _files(path)
+            try:
+                recording = cls._read_once(path, notices, most_markers)
+            except InvalidFile:
+                if _files(path) == files:
+                    raise
+                continue
+            if _files(path) == files:
+                return recording
+
+    @classmethod
+    def _read_once(cls, path: Path, notices: Sequence[str], most_markers: int | None) -> Recording:
         pieces = recording_pieces(path) if path.is_dir() else [path] if path.is_file() else []
         if not pieces:
             path = path / RECORDING_FILE if path.is_dir() else path
@@ -194,6 +210,11 @@ class Recording:
             return decode_jpeg(self.frame_jpeg(row))
         except InvalidData as error:
             raise InvalidFile(f"{self.path}: the image of frame {row}: {error}") from error
+
+
+def _files(path: Path) -> list[tuple[str, int]]:
+    """Which files are read: another one in a name's place is another file."""
+    return [(piece.name, piece.stat().st_ino) for piece in recording_pieces(path)] if path.is_dir() else []
 
 
 def _batches(stream: LazyChunkStream, *, piece: Path, thinning: Thinning) -> Batches:

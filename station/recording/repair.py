@@ -30,6 +30,7 @@ from station.recording.rrd_files import HEADER_BYTES, scan_framing
 from station.recording.rrd_stream import BATCH_BYTES, RrdStream
 from station.session import (
     JOINED_FILE,
+    JOINING_FILE,
     RECORDING_FILE,
     SessionDescription,
     later_pieces,
@@ -58,7 +59,9 @@ def repair(folder: Path) -> tuple[str, ...]:
     if not _needs_repair(folder):
         return ()
     try:
-        with SessionLock(folder):
+        with SessionLock(folder) as lock:
+            if not lock.exclusive:
+                raise StationError("its file system has no locks, and who records there must not be disturbed")
             return join_pieces(folder)
     except SessionBusy:
         return ()
@@ -76,11 +79,15 @@ def join_pieces(folder: Path) -> tuple[str, ...]:
     if not _needs_repair(folder):
         return ()
     pieces = [piece for piece in recording_pieces(folder) if has_rows(piece)]
-    if pieces[0].name == JOINED_FILE:  # the last repair was interrupted after its work was done
-        _take_place(folder)
+    if pieces[0].name == JOINED_FILE:
+        finish_joining(folder)
         return ()
     framings = [sound_framing(piece) for piece in pieces]
     for piece, framing in zip(pieces, framings, strict=True):
+        if framing.torn and not framing.cut:
+            raise StationError(
+                f"{piece.name} is damaged from byte {framing.whole} on, not merely cut: nothing is removed"
+            )
         if framing.torn and framing.size - framing.whole > BATCH_BYTES:
             left_mb = (framing.size - framing.whole) / 1e6
             raise StationError(
@@ -97,6 +104,15 @@ def join_pieces(folder: Path) -> tuple[str, ...]:
     return tuple(f"{notice}; it was repaired" for notice in of_pieces)
 
 
+def finish_joining(folder: Path) -> None:
+    """Let a joined file take its place, where the last repair was interrupted after its work was done.
+
+    Before a piece is added: all that are there are taken for parts of the joined file.
+    """
+    if (folder / JOINED_FILE).exists():
+        _take_place(folder)
+
+
 def cut_torn_end(path: Path) -> None:
     """Leave out what follows the file's last whole message; nothing is done where a kill can't explain it.
 
@@ -105,7 +121,7 @@ def cut_torn_end(path: Path) -> None:
         InvalidFile: it can't be read.
     """
     framing = sound_framing(path)
-    if framing.messages and framing.torn and framing.size - framing.whole <= BATCH_BYTES:
+    if framing.messages and framing.torn and framing.cut and framing.size - framing.whole <= BATCH_BYTES:
         os.truncate(path, framing.whole)
 
 
@@ -117,9 +133,9 @@ def correct_status(folder: Path, recording: Recording) -> None:
     with suppress(InvalidFile, OSError, StationError):
         if read_status(folder).state != "recording":
             return
-        with SessionLock(folder):
+        with SessionLock(folder) as lock:
             status = read_status(folder)
-            if status.state == "recording":
+            if status.state == "recording" and lock.exclusive:
                 ended = status.started + timedelta(seconds=recording.duration_s)
                 counts = {**status.counts, **recording.counts}
                 write_status(folder, replace(status, state="interrupted", ended=ended, counts=counts))
@@ -151,9 +167,10 @@ def _cut(path: Path) -> Iterator[None]:
 
 def _rebuild(pieces: Sequence[Path], target: Path) -> None:
     """Write all that is in the pieces into one file with an index."""
+    part = target.with_name(JOINING_FILE)
+    part.unlink(missing_ok=True)  # of a repair that was killed: it may be what takes the room
     _check_room(pieces, target.parent)
     recording_id, _, about = read_piece(pieces[0], _description)[0]
-    part = target.with_name(f"{target.name}.part")
     try:
         stream = RrdStream(part, recording_id, 0, blueprint=session_blueprint(about.joints), send_properties=False)
         try:

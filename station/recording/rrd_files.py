@@ -22,6 +22,8 @@ TRAILER_BYTES = 32
 MESSAGE = struct.Struct("<QQ")
 END_KIND = 0
 STORE_KIND = 1
+# No message is longer: twice as much as the writer gathers before it writes one.
+LONGEST_BYTES = 128 << 20
 # Kinds of message: end, store info, chunk, command to activate a blueprint.
 KINDS = frozenset({END_KIND, STORE_KIND, 2, 3})
 
@@ -38,6 +40,8 @@ class Framing:
         complete: whether the file was closed: it has its end, and with it the index.
         last: where the last message that isn't the end begins.
         stores: where the messages begin and end that tell which recording what follows is of.
+        cut: whether what follows the last whole message is what a kill or a power cut leaves: the beginning of a
+            message, or zeros. Anything else is damage, and whole messages may follow it.
     """
 
     size: int
@@ -47,6 +51,7 @@ class Framing:
     complete: bool
     last: int
     stores: tuple[tuple[int, int], ...]
+    cut: bool
 
     @property
     def torn(self) -> bool:
@@ -92,12 +97,23 @@ def _scan(file: BinaryIO, path: Path) -> Framing:
             break
         start, whole, messages = whole, end, messages + 1
         if kind == END_KIND:
-            return Framing(size, whole, messages, body, True, last, tuple(stores))
+            return Framing(size, whole, messages, body, True, last, tuple(stores), False)
         body, last = end, start
         if kind == STORE_KIND:
             stores.append((start, end))
         file.seek(end)
-    return Framing(size, whole, messages, body, False, last, tuple(stores))
+    return Framing(size, whole, messages, body, False, last, tuple(stores), _is_cut(file, whole, size))
+
+
+def _is_cut(file: BinaryIO, whole: int, size: int) -> bool:
+    """Whether the file's rest is the beginning of one message, the end with its trailer included, or zeros."""
+    file.seek(whole)
+    rest = file.read(LONGEST_BYTES)
+    if len(rest) < MESSAGE.size or not rest.strip(b"\0"):
+        return True
+    kind, length = MESSAGE.unpack(rest[: MESSAGE.size])
+    trailer = TRAILER_BYTES if kind == END_KIND else 0
+    return kind in KINDS and length <= LONGEST_BYTES and whole + MESSAGE.size + length + trailer > size
 
 
 def _ends_with_trailer(file: BinaryIO, end: int, size: int) -> bool:

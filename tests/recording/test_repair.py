@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import fcntl
 import shutil
 import subprocess
 from collections.abc import Iterator
@@ -12,9 +14,9 @@ import pytest
 from rerun.chunk import RrdReader
 
 from station.errors import InvalidFile, StationError
-from station.recording import Recording, RecordingWriter, repair
+from station.recording import Recording, RecordingWriter, opening, repair
 from station.recording.lock import SessionLock
-from station.recording.rrd_files import HEADER_BYTES, scan_framing
+from station.recording.rrd_files import HEADER_BYTES, Framing, scan_framing
 from station.recording.rrd_stream import RrdStream
 from station.session import Checkpoint, read_status, recording_pieces
 from tests.made_sessions import START_NS, MadeFrame, describe, log_frame, make_frames
@@ -107,6 +109,9 @@ def test_whatever_the_end_repair_keeps_all_that_could_be_read(
         recording = Recording.load(torn)
         assert whole <= recording.frames <= whole + 1, name
         assert recording.frame_ns[:whole].tolist() == [f.t_ns for f in frames[:whole]], name
+        if "garbage" in name and "damaged" in recording.notices[0]:  # no kill leaves that: it stays as it is
+            assert (torn / "recording.rrd").read_bytes() == content[:size] + tail, name
+            continue
         assert "repaired" in recording.notices[0], name
         assert scan_framing(torn / "recording.rrd").complete, name
         assert Recording.load(torn).frames == recording.frames, name
@@ -152,6 +157,67 @@ def test_more_than_a_kill_leaves_is_not_cut_off(killed: Path, monkeypatch: pytes
     path.write_bytes(content)
     assert "more than a kill leaves" in Recording.load(killed).notices[0]
     assert path.read_bytes() == content
+
+
+@pytest.mark.parametrize("at", ["kind", "length"])
+def test_damage_amid_a_file_is_not_taken_for_its_torn_end(killed: Path, left: tuple[Path, list[int]], at: str) -> None:
+    path = killed / "recording.rrd"
+    content = bytearray(path.read_bytes())
+    start = left[1][5]  # where a message begins; whole ones follow
+    content[start + {"kind": 0, "length": 8}[at] + 7] ^= 0x40  # one bit: an unknown kind, or longer than any message
+    path.write_bytes(content)
+    recording = Recording.load(killed)
+    assert 0 < recording.frames < FRAMES and "damaged" in recording.notices[0]
+    assert path.read_bytes() == content
+    go_on(killed, "on again")
+    assert path.read_bytes() == content
+    assert Recording.load(killed).events[-1].text == "on again"
+
+
+def test_a_file_without_a_lock_is_read_as_it_is(killed: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def without(*_: object) -> None:
+        raise OSError(errno.EINVAL, "Invalid argument")
+
+    content = (killed / "recording.rrd").read_bytes()
+    monkeypatch.setattr(fcntl, "flock", without)
+    recording = Recording.load(killed)
+    assert recording.frames == FRAMES and "no locks" in recording.notices[0]
+    assert (killed / "recording.rrd").read_bytes() == content and read_status(killed).state == "recording"
+    go_on(killed, "on again")  # who records is not kept from it
+
+
+def test_who_reads_while_another_repairs_gets_all_of_it(killed: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = killed / "recording.rrd"
+    path.write_bytes(path.read_bytes()[:-100])
+    expected = Recording.read(killed).frames
+    scans: list[Path] = []
+
+    def repaired_amid(path: Path) -> Framing:
+        framing = scan_framing(path)
+        scans.append(path)
+        if len(scans) == 1:  # another program, just after this one looked
+            repair.repair(killed)
+        return framing
+
+    monkeypatch.setattr(opening, "scan_framing", repaired_amid)
+    recording = Recording.read(killed)
+    assert recording.frames == expected and recording.notices == ()
+
+
+def test_what_a_repair_that_was_killed_left_does_not_stand_in_the_next_ones_way(
+    killed: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    part = killed / "recording.joined.rrd.part"
+    part.write_bytes(bytes(1 << 20))
+    real = shutil.disk_usage
+
+    def with_part(folder: Path) -> object:
+        usage = real(folder)
+        return usage._replace(free=0 if part.exists() else usage.free)
+
+    monkeypatch.setattr(shutil, "disk_usage", with_part)
+    assert "was repaired" in Recording.load(killed).notices[0]
+    assert not part.exists()
 
 
 def test_a_folder_that_is_being_written_is_read_as_it_is(killed: Path) -> None:
@@ -232,6 +298,15 @@ def test_a_crash_while_joining_loses_nothing(
     recording = Recording.load(killed)
     assert [event.text for event in recording.events[FRAMES:]] == ["first", "second"]
     assert [path.name for path in killed.glob("recording*.rrd")] == ["recording.rrd"]
+
+
+def test_going_on_after_a_crash_while_joining_loses_nothing(killed: Path) -> None:
+    joined = killed / "recording.joined.rrd"
+    shutil.copy(killed / "recording.rrd", joined)
+    go_on(killed, "on again")
+    recording = Recording.load(killed)
+    assert recording.events[-1].text == "on again" and recording.frames == FRAMES
+    assert not joined.exists()
 
 
 def test_a_piece_that_was_hardly_begun_does_no_harm(killed: Path) -> None:
