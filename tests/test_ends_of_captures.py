@@ -310,3 +310,45 @@ def test_nothing_is_recorded_on_the_way_back_after_a_pause_that_was_taken_back_a
         again_s = writer.at_s("leg 1 of 1 again")
         assert again_s > asked_s[0] + 1.0 and writer.state == "complete"
         assert not np.any((t_s > asked_s[0] + 0.1) & (t_s < again_s))
+
+
+class TwiceCamera(GreyCamera):
+    """Gives each tenth picture twice, with one stamp, as a network camera on a busy machine does."""
+
+    def __init__(self, clock: Clock) -> None:
+        super().__init__(clock)
+        self._given = 0
+        self._again: Frame | None = None
+
+    def read(self, until_ns: int) -> Frame | None:
+        if (again := self._again) is not None:
+            self._again = None
+        elif (again := super().read(until_ns)) is not None and again.index % 10 == 9:
+            self._again = again
+        if again is None:
+            return None
+        self._given += 1
+        return replace(again, index=self._given - 1)
+
+
+def test_of_two_frames_with_one_stamp_the_second_counts_as_dropped(tmp_path: Path) -> None:
+    with lab(tmp_path, "demo", QUIET) as bench:
+        writer = with_frames(bench, TwiceCamera(bench.rig.clock))
+        capture(bench)
+        assert np.all(np.diff(np.array(writer.frames)[:, 1]) > 0)
+        assert writer.counts["dropped_by_camera"] == pytest.approx(writer.counts["frames"] / 10, abs=1)
+
+
+class LateCamera(GreyCamera):
+    """Hands a picture over 0.2 s after it was taken."""
+
+    def read(self, until_ns: int) -> Frame | None:
+        frame = super().read(until_ns)
+        return None if frame is None else replace(frame, t_ns=frame.t_ns - 200_000_000)
+
+
+def test_a_frame_that_was_taken_before_the_motion_is_not_recorded_however_late_it_comes(tmp_path: Path) -> None:
+    with lab(tmp_path, "demo", QUIET) as bench:
+        writer = with_frames(bench, LateCamera(bench.rig.clock))
+        capture(bench)
+        assert writer.frames[0][1] * 1e-9 >= writer.at_s("starts: ")
