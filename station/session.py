@@ -136,7 +136,7 @@ def piece_file(number: int) -> str:
 def recording_pieces(folder: Path) -> list[Path]:
     """The files that together are the session's recording, in order; none where nothing was recorded.
 
-    A session that was gone on with has several, until they are joined.
+    A long one has several, and one that was gone on with, until they are joined.
     """
     if (joined := folder / JOINED_FILE).exists():
         return [joined]
@@ -166,7 +166,7 @@ def next_piece(folder: Path) -> int:
 
 
 def later_pieces(folder: Path) -> list[Path]:
-    """The files after the first one, in order, that were begun when the session was gone on with."""
+    """The files after the first one, in order."""
     return [folder / piece_file(number) for number in _piece_numbers(folder)]
 
 

@@ -9,9 +9,10 @@ import pytest
 from calibration.intrinsics import CameraModel
 from drivers.errors import NoCamera, NoPort
 from station.drawn import facing, look_at
-from station.errors import InvalidData, InvalidFile
+from station.errors import InvalidData, InvalidFile, LimitExceeded
 from station.formats.rig import load_calibration, parse_rig
 from station.mechanism import mechanism
+from station.motion import Motion, Sinusoids, Wave, plan_motion
 from station.rig import load_rig, open_rig
 from station.rig_reading import joint_configs, packaged, packaged_names
 from station.stage import Stage
@@ -59,6 +60,21 @@ def test_a_wrong_rig_is_refused_with_the_key(old: str, new: str, said: str):
     with pytest.raises(InvalidFile, match=said) as error:
         parse_rig(DEMO.replace(old, new), "my.toml")
     assert str(error.value).startswith("my.toml") and len(str(error.value).splitlines()) <= 5
+
+
+def test_a_joint_may_have_a_greatest_acceleration_that_streamed_motions_keep_to():
+    def limited(key: str) -> str:
+        assert DEMO.count("limits_deg = [-60, 60]") == 1
+        return DEMO.replace("limits_deg = [-60, 60]", f"limits_deg = [-60, 60]\n{key} = 40")
+
+    joints = parse_rig(limited("max_acceleration_deg_s2"), "my.toml").limits()
+    have = [joint.max_acceleration for joint in joints]
+    assert have == [None, pytest.approx(np.radians(40)), None, None]
+    shaken = Sinusoids({"shoulder": Wave(np.radians(5), 0.5)}, 8.0)  # 49 deg/s2 without its ramps
+    with pytest.raises(LimitExceeded, match=r"shoulder would reach .* its greatest acceleration is 40\.0 deg/s2"):
+        plan_motion(Motion("m", (shaken,), "stream"), joints)
+    with pytest.raises(InvalidFile, match="joint 2: want limits_deg and max_speed_deg_s"):
+        parse_rig(limited("max_acceleration_mm_s2"), "my.toml")
 
 
 def test_a_missing_or_misfit_calibration_is_said_before_anything_opens(tmp_path: Path):

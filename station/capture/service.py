@@ -90,6 +90,8 @@ class Capture:
         crew.states.to(State.CHECKING)
         arm.connect()
         crew.journal.info(f"connected: {', '.join(arm.names)}")
+        for note in self._plan.motion.notes:
+            crew.journal.warn(note)
         heed(crew, holds=False)
         self._powered = True
         arm.torque_on()

@@ -173,10 +173,15 @@ def _line(now: Snapshot, before: Snapshot | None) -> str:
 
 
 @contextmanager
-def attended(out: Path, live: LiveServer | None = None, *, by_hand: bool = False) -> Iterator[Attendant]:
+def attended(
+    out: Path, live: LiveServer | None = None, *, by_hand: bool = False, fits: bool = False
+) -> Iterator[Attendant]:
     """Show the capture that the block runs, have signals steer it, and say after any end what there is.
 
     Exits as the signal says that ended it early.
+
+    Args:
+        fits: whether the command itself fits what is complete.
     """
     foot = "" if live is None else f"live view {live.address}"
     attendant = Attendant(out, by_hand=by_hand, foot=foot)
@@ -185,12 +190,12 @@ def attended(out: Path, live: LiveServer | None = None, *, by_hand: bool = False
             yield attendant
     finally:
         if attendant.last is not None:
-            say_next(*left(out, attendant.last))
+            say_next(*left(out, attendant.last, fits=fits))
     if attendant.interrupts.code is not None:
         raise SystemExit(attendant.interrupts.code)
 
 
-def left(out: Path, last: Snapshot) -> list[str]:
+def left(out: Path, last: Snapshot, *, fits: bool = False) -> list[str]:
     """What a capture left, after any end: what is in the folder, how the arm is, what can be done next."""
     from station.errors import StationError
     from station.session import MOTION_FILE, read_status
@@ -202,9 +207,9 @@ def left(out: Path, last: Snapshot) -> list[str]:
     arm = f"; {last.step}" if last.step.startswith("arm") else ""
     if status.state == "complete":
         lines = [f"{out} is complete: {status.counts.get('frames', 0)} frames{arm}"]
-    else:
-        lines = [f"stopped; what was recorded is in {out}: {status.counts.get('frames', 0)} frames{arm}"]
+        return lines if fits else [*lines, f"fit it        station fit {out}"]
+    lines = [f"stopped; what was recorded is in {out}: {status.counts.get('frames', 0)} frames{arm}"]
     lines.append(f"fit it        station fit {out}")
-    if status.state != "complete" and (out / MOTION_FILE).exists():
+    if (out / MOTION_FILE).exists():
         lines.append(f"go on         station capture --resume {out}")
     return lines

@@ -82,7 +82,7 @@ def _run(rig: str, motion: str, out: Path, as_json: bool, live: LiveServer | Non
     from station.cli.attending import attended
     from station.commands import capturing, sessions
 
-    with attended(out, live) as attendant:
+    with attended(out, live, fits=True) as attendant:
         capturing.capture(rig, motion, out, live=live, **attendant.settings(), **settings)
     with progress() as bar:
         comparison = sessions.conclude(out, stage=bar.stage)
@@ -102,7 +102,10 @@ def capture(
     ] = None,
     motion: Annotated[
         str | None,
-        typer.Argument(metavar="[MOTION]", help="Motion: a file, or a packaged one's name; none with --hand."),
+        typer.Argument(
+            metavar="[MOTION]",
+            help="Motion: a file, a packaged one's name, or a session or commands.csv to replay; none with --hand.",
+        ),
     ] = None,
     out: Annotated[
         Path | None, typer.Option("--out", help="Session folder; must be new or empty.", show_default=False)

@@ -50,7 +50,14 @@ Yes = Annotated[bool, typer.Option("--yes", help="Don't ask: the arm is held, an
 RigArgument = Annotated[
     str, typer.Argument(metavar="RIG", help="Rig: a file, or the name of a packaged one such as demo.")
 ]
-MotionArgument = Annotated[str, typer.Argument(metavar="MOTION", help="Motion: a file, or the name of a packaged one.")]
+MotionArgument = Annotated[
+    str,
+    typer.Argument(
+        metavar="MOTION",
+        help="Motion: a file, the name of a packaged one such as each_joint, or a session's folder or a commands.csv, "
+        "which are replayed.",
+    ),
+]
 SessionArgument = Annotated[Path, typer.Argument(metavar="SESSION", help="Session folder.", show_default=False)]
 Commands = Annotated[
     Path | None, typer.Option("--commands", help="commands.csv of another clock, in place of the recorded commands.")

@@ -72,7 +72,7 @@ def _show(outlook: Outlook, rig: str, pictures: tuple[Path, ...], as_json: bool)
         exposure_ms = 1e3 * outlook.forecast.scene.exposure_s
         table(f"What the camera will see, {exposure_ms:.3g} ms open", foreseeing.marker_rows(outlook.forecast))
         table("Joints: a marker seen on either side", foreseeing.joint_rows(outlook))
-    for note in outlook.notes:
+    for note in (*planned.motion.notes, *outlook.notes):
         say_next(f"note: {note}")
     for warning in outlook.warnings:
         warn(warning)

@@ -120,7 +120,12 @@ def resume(session: Path, **settings: Unpack[CaptureSettings]) -> CaptureCounts:
     check_resumable(session)
     about = Recording.load(session).description
     rig_file = _own_rig(session, about)
-    planned, _ = planned_motion(rig_file, str(session / MOTION_FILE))
+    planned, text = planned_motion(rig_file, str(session / MOTION_FILE))
+    if text != about.motion:
+        raise InvalidData(
+            f"{session / MOTION_FILE} isn't the motion that the session was captured with\n"
+            "put the session's own back (the recording has it, the report shows it), or record into another folder"
+        )
     first_leg = _leg_to_go_on_from(session, planned, read_status(session).progress)
     settings["seed"] = about.seed
     settings["simulate"] = about.seed is not None

@@ -151,7 +151,7 @@ def outlook_document(outlook: Outlook) -> dict[str, object]:
     forecast = outlook.forecast
     return {
         "warnings": list(outlook.warnings),
-        "notes": list(outlook.notes),
+        "notes": [*outlook.plan.motion.notes, *outlook.notes],
         "forecast": None
         if forecast is None
         else {

@@ -70,20 +70,25 @@ class ServoTable(StrictModel):
 
 
 class JointTable(StrictModel):
-    """`[[joint]]`: a joint of the arm and the servos that turn it; revolute with _deg keys, prismatic with _mm keys."""
+    """`[[joint]]`: a joint of the arm and the servos that turn it; revolute with _deg keys, prismatic with _mm keys.
+
+    The greatest acceleration, which may be left out, is for streamed motions.
+    """
 
     name: str
     limits_deg: Pair | None = None
     limits_mm: Pair | None = None
     max_speed_deg_s: Positive | None = None
     max_speed_mm_s: Positive | None = None
+    max_acceleration_deg_s2: Positive | None = None
+    max_acceleration_mm_s2: Positive | None = None
     park_deg: float | None = None
     park_mm: float | None = None
     servo: Annotated[list[ServoTable], Field(min_length=1)]
 
     @model_validator(mode="after")
     def _check(self) -> JointTable:
-        limits, _, park = self._keys()
+        limits, _, _, park = self._keys()
         unit = "deg" if self.unit == "rad" else "mm"
         lower, upper = limits
         if not lower <= park <= upper or lower == upper:
@@ -100,20 +105,24 @@ class JointTable(StrictModel):
         """What the joint's states are in: rad, of a prismatic joint m."""
         return "rad" if self.limits_deg is not None else "m"
 
-    def _keys(self) -> tuple[list[float], float, float]:
-        """Limits, greatest speed and park position as the file has them; raises ValueError for a mixture of units."""
-        deg = self.limits_deg, self.max_speed_deg_s, self.park_deg
-        mm = self.limits_mm, self.max_speed_mm_s, self.park_mm
-        for (limits, max_speed, park), others in ((deg, mm), (mm, deg)):
-            if limits is not None and max_speed is not None and others == (None, None, None):
-                return limits, max_speed, park or 0.0
+    def _keys(self) -> tuple[list[float], float, float | None, float]:
+        """Limits, greatest speed and acceleration, and park position as the file has them.
+
+        Raises ValueError for a mixture of units.
+        """
+        deg = self.limits_deg, self.max_speed_deg_s, self.max_acceleration_deg_s2, self.park_deg
+        mm = self.limits_mm, self.max_speed_mm_s, self.max_acceleration_mm_s2, self.park_mm
+        for (limits, max_speed, max_acceleration, park), others in ((deg, mm), (mm, deg)):
+            if limits is not None and max_speed is not None and all(other is None for other in others):
+                return limits, max_speed, max_acceleration, park or 0.0
         raise ValueError("want limits_deg and max_speed_deg_s, or, of a prismatic joint, limits_mm and max_speed_mm_s")
 
     def limits(self) -> JointLimits:
-        """The joint's limits in radians, of a prismatic joint in metres."""
-        (lower, upper), max_speed, park = self._keys()
+        """The joint's limits in rad, rad/s and rad/s2, of a prismatic joint in m, m/s and m/s2."""
+        (lower, upper), max_speed, max_acceleration, park = self._keys()
         each = math.radians(1.0) if self.unit == "rad" else 1.0 / MM_PER_M
-        return JointLimits(self.name, lower * each, upper * each, max_speed * each, park * each, self.unit)
+        hardest = None if max_acceleration is None else max_acceleration * each
+        return JointLimits(self.name, lower * each, upper * each, max_speed * each, park * each, self.unit, hardest)
 
 
 class CameraSettings(StrictModel):

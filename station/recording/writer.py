@@ -6,6 +6,8 @@ gone on with.
 
 from __future__ import annotations
 
+import threading
+import time
 import uuid
 from collections import Counter
 from collections.abc import Mapping
@@ -52,6 +54,8 @@ if TYPE_CHECKING:
 
 NS_PER_S = 1e9
 COUNTED = ("frames", "commands", "readings", "events")
+# A file's index is in memory until the file is finished: a capture goes on in another one each so many seconds.
+PIECE_S = 120.0
 # Of these those that are rows of the recording; commands are counted by who sends them, if anybody does.
 ROWS = ("frames", "readings", "events")
 
@@ -90,7 +94,9 @@ class RecordingWriter:
         earlier: Earlier | None = None,
     ) -> None:
         self._folder, self._about, self._earlier = folder, description, earlier
-        self._path = folder / piece_file(earlier.piece if earlier else 0)
+        self._first_piece = self._piece = earlier.piece if earlier else 0
+        self._blueprint = blueprint
+        self._turning = threading.Lock()
         self._start_ns = start_ns
         self._counts: Counter[str] = Counter(dict.fromkeys(COUNTED, 0))
         self._last_frame_ns: int | None = None
@@ -105,7 +111,7 @@ class RecordingWriter:
         try:
             self._status = self._gone_on(earlier) if earlier else self._begun(force)
             self._write_status()
-            self._open(blueprint)
+            self._open()
         except BaseException:
             self._lock.release()
             raise
@@ -286,9 +292,10 @@ class RecordingWriter:
         now = SessionStart(datetime.now(UTC), earlier.elapsed_s)
         return replace(earlier.status, state="recording", ended=None, starts=(*earlier.status.starts, now))
 
-    def _open(self, blueprint: Blueprint | None) -> None:
+    def _open(self) -> None:
         earlier = self._earlier
-        self._stream = RrdStream(self._path, self.recording_id, self._start_ns, blueprint=blueprint)
+        self._piece_ends_s = time.monotonic() + PIECE_S
+        self._stream = RrdStream(self._path, self.recording_id, self._start_ns, blueprint=self._blueprint)
         try:
             session_ns = earlier.start_ns if earlier else self._start_ns
             self._rows.begin(
@@ -328,7 +335,7 @@ class RecordingWriter:
         from station.perception.jpeg import decode_jpeg
 
         if self._video is None:
-            self._video = LosslessFrames(self._folder / frames_file(self._earlier.piece if self._earlier else 0))
+            self._video = LosslessFrames(self._folder / frames_file(self._first_piece))
         self._video.write(elapsed_ns, decode_jpeg(image) if isinstance(image, bytes) else image)
 
     def _leave(self, failure: StationError | None) -> None:
@@ -340,7 +347,7 @@ class RecordingWriter:
         drop_reserve(self._folder)
         if failure is not None:
             raise failure
-        if self._earlier:
+        if self._piece:
             with suppress(OSError, StationError):  # whoever opens it next tries again, and is told
                 join_pieces(self._folder)
 
@@ -359,3 +366,18 @@ class RecordingWriter:
     def _check_open(self) -> None:
         if self._closed:
             raise StationError(f"{self._path} is closed; nothing more is logged")
+        if time.monotonic() > self._piece_ends_s and self._turning.acquire(blocking=False):
+            try:
+                self._turn_over()
+            finally:
+                self._turning.release()
+
+    @property
+    def _path(self) -> Path:
+        return self._folder / piece_file(self._piece)
+
+    def _turn_over(self) -> None:
+        """Go on in a further piece; `close` joins them."""
+        self._piece += 1
+        self._piece_ends_s = time.monotonic() + PIECE_S
+        self._stream.go_on_in(self._path, self._blueprint)

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from station.errors import InvalidData
+from station.fit.excitation import SMALL_TRAVEL
 from station.fit.options import FitOptions
 from station.fit.paper.elimination import Edge, Skeleton
 from station.fit.paper.matching import Match, match_joints
@@ -34,8 +35,6 @@ BoolArray = NDArray[np.bool_]
 
 # Algorithm 1 starts from three different time points.
 MIN_FRAMES = 3
-# Travel [rad, m] below which a joint's axis is worth a warning.
-SMALL_TRAVEL = {"rad": np.radians(15.0), "m": 0.05}
 
 
 def learn_paper(log: PoseLog, options: FitOptions | None = None, steps: PaperSteps | None = None) -> Fit:
