@@ -101,6 +101,7 @@ class ServoLoop:
     def _begin_leg(self) -> None:
         """Go slowly to where the leg begins, once nothing holds the arm any more; then its time begins."""
         crew, leg = self._crew, self._leg
+        crew.frames.close()
         while self._heed() or self._waited_for_camera():
             pass
         self._follow(self._plan.restarted(leg))
