@@ -13,7 +13,7 @@ from station.formats.text import read_text
 from station.formats.urdf import to_urdf
 from station.kinematics.tree import KinematicTree
 from station.kinematics.tree_json import from_json, to_json
-from station.session import check_output_folder
+from station.session import FIT_FOLDER, RECORDING_FILE, check_output_folder
 
 TREE_FILE = "kinematics.json"
 STATES_FILE = "joint_states.csv"
@@ -59,7 +59,7 @@ def read_fit(folder: str | PathLike[str]) -> Fit:
     folder = Path(folder)
     if not (folder / TREE_FILE).exists():
         raise InvalidFile(
-            f"{folder} has no {TREE_FILE}: nothing was fitted there yet\nrun: station fit INPUT --out {folder}"
+            f"{folder} has no {TREE_FILE}: nothing was fitted there yet\nrun: station fit {_input_of(folder)}"
         )
     tree = read_tree(folder / TREE_FILE)
     path = folder / STATES_FILE
@@ -69,6 +69,14 @@ def read_fit(folder: str | PathLike[str]) -> Fit:
         have = ", ".join(states.joints) or "none"
         raise InvalidFile(f"{path} has no column {missing[0]}, a joint's of the {TREE_FILE} beside it; have {have}")
     return Fit(tree, states)
+
+
+def _input_of(folder: Path) -> str:
+    """What is to be fitted for this folder to have a fit: the session that it is in, if it is in one."""
+    session = folder.parent
+    if folder.name == FIT_FOLDER and (session / RECORDING_FILE).exists():
+        return str(session)
+    return f"INPUT --out {folder}"
 
 
 def read_tree(path: str | PathLike[str]) -> KinematicTree:

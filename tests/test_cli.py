@@ -125,6 +125,7 @@ def test_run_ends_with_the_table_and_where_to_look(station, tmp_path: Path):
     tree = json.loads((out_dir / "fit" / "kinematics.json").read_text(encoding="utf-8"))
     assert {joint["name"] for joint in tree["joints"]} == {"base_pan", "shoulder", "elbow", "wrist"}
     assert "figure7.png" in err and "station view" in err
+    assert "station fit" not in err  # it is fitted
 
 
 def test_fit_reads_the_recording_alone(station, session: Path, tmp_path: Path):
@@ -190,9 +191,15 @@ def test_bad_input_is_one_clear_error_and_leaves_nothing(station, session: Path,
     far = write_motion(tmp_path, SHORT.replace("base_pan = 30", "base_pan = 300"))
     wrong = tmp_path / "wrong.toml"
     wrong.write_text(SHORT.replace("hold_s", "hold"), encoding="utf-8")
+    code, _, err = station("report", session)
+    assert code == 1 and err.endswith(f"run: station fit {session}\n")
     torn = session / "recording.rrd"
     torn.write_bytes(torn.read_bytes()[:64])
+    lost = tmp_path / "lost.toml"
+    replays = 'schema = "motion/1"\nname = "lost"\nmode = "stream"\n[[step]]\nreplay = { file = "nowhere" }\n'
+    lost.write_text(replays, encoding="utf-8")
     cases = [
+        (("plan", "demo", lost), "nowhere is missing; what is replayed is a session's folder or a commands.csv"),
         (("capture", "demo", far, "--out", out), "base_pan would go to 300.0 deg"),
         (("capture", "demo", wrong, "--out", out), "step 1, hold: unknown key"),
         (("capture", "demo", tmp_path / "gone.toml", "--out", out), "gone.toml"),

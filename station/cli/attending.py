@@ -119,7 +119,7 @@ class Attendant:
             return
         ends = self._ended.is_set() or self.control.wish is Wish.STOP
         foot = "   ".join(filter(None, ("" if ends else self._hint, self._foot)))
-        live.update(Dashboard(snapshot, self._disk.text(), self._asked(), foot), refresh=True)
+        live.update(Dashboard(snapshot, self._disk.text(snapshot.bytes_per_s), self._asked(), foot), refresh=True)
 
     def _asked(self) -> str:
         wish = self.control.wish
@@ -150,16 +150,21 @@ class Disk:
         self._looked_s = -DISK_EVERY_S
         self._text = ""
 
-    def text(self) -> str:
-        """Such as "12.3 GB left"."""
+    def text(self, bytes_per_s: float | None = None) -> str:
+        """Such as "70.7 GB left, 38 h"; the time is at so many bytes a second."""
         if (now_s := time.monotonic()) - self._looked_s >= DISK_EVERY_S:
             self._looked_s = now_s
             try:
                 free = shutil.disk_usage(self._folder).free
             except OSError:
                 return self._text  # the folder isn't there yet, or its disk is gone
-            self._text = f"{free / 1e9:.1f} GB left"
+            self._text = f"{free / 1e9:.1f} GB left" + (f", {_long(free / bytes_per_s)}" if bytes_per_s else "")
         return self._text
+
+
+def _long(lasts_s: float) -> str:
+    """Roughly: 38 h, 45 min."""
+    return f"{lasts_s / 3600:.0f} h" if lasts_s >= 7200 else f"{lasts_s / 60:.0f} min"
 
 
 def _line(now: Snapshot, before: Snapshot | None) -> str:
@@ -173,10 +178,15 @@ def _line(now: Snapshot, before: Snapshot | None) -> str:
 
 
 @contextmanager
-def attended(out: Path, live: LiveServer | None = None, *, by_hand: bool = False) -> Iterator[Attendant]:
+def attended(
+    out: Path, live: LiveServer | None = None, *, by_hand: bool = False, fits: bool = False
+) -> Iterator[Attendant]:
     """Show the capture that the block runs, have signals steer it, and say after any end what there is.
 
     Exits as the signal says that ended it early.
+
+    Args:
+        fits: whether the command itself fits what is complete.
     """
     foot = "" if live is None else f"live view {live.address}"
     attendant = Attendant(out, by_hand=by_hand, foot=foot)
@@ -185,12 +195,12 @@ def attended(out: Path, live: LiveServer | None = None, *, by_hand: bool = False
             yield attendant
     finally:
         if attendant.last is not None:
-            say_next(*left(out, attendant.last))
+            say_next(*left(out, attendant.last, fits=fits))
     if attendant.interrupts.code is not None:
         raise SystemExit(attendant.interrupts.code)
 
 
-def left(out: Path, last: Snapshot) -> list[str]:
+def left(out: Path, last: Snapshot, *, fits: bool = False) -> list[str]:
     """What a capture left, after any end: what is in the folder, how the arm is, what can be done next."""
     from station.errors import StationError
     from station.session import MOTION_FILE, read_status
@@ -202,9 +212,9 @@ def left(out: Path, last: Snapshot) -> list[str]:
     arm = f"; {last.step}" if last.step.startswith("arm") else ""
     if status.state == "complete":
         lines = [f"{out} is complete: {status.counts.get('frames', 0)} frames{arm}"]
-    else:
-        lines = [f"stopped; what was recorded is in {out}: {status.counts.get('frames', 0)} frames{arm}"]
+        return lines if fits else [*lines, f"fit it        station fit {out}"]
+    lines = [f"stopped; what was recorded is in {out}: {status.counts.get('frames', 0)} frames{arm}"]
     lines.append(f"fit it        station fit {out}")
-    if status.state != "complete" and (out / MOTION_FILE).exists():
+    if (out / MOTION_FILE).exists():
         lines.append(f"go on         station capture --resume {out}")
     return lines

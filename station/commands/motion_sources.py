@@ -38,6 +38,8 @@ def read_motion(source: str, joints: Sequence[JointLimits]) -> tuple[Motion, str
 
 def recorded_states(path: Path, joints: Sequence[JointLimits]) -> JointLog:
     """What the servos of a session reported, or a commands.csv has; raises InvalidFile."""
+    if not path.exists():
+        raise InvalidFile(f"{path} is missing; what is replayed is a session's folder or a commands.csv")
     if not path.is_dir():
         return read_commands(path, {joint.name: joint.unit for joint in joints})
     from station.recording import Recording

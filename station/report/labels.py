@@ -19,6 +19,8 @@ DISTANCES_PT = (5.0, 9.0, 16.0, 26.0, 38.0, 52.0, 70.0)
 DIRECTIONS = 16
 # Farther than this from its place, a label has a line to it.
 LINE_PT = 12.0
+# From what was written before, such as a scale's length: nearer it would read as one.
+APART_PT = 8.0
 
 
 def place_labels(axes: Axes, labels: Sequence[tuple[FloatArray, str, str]], lines: Sequence[FloatArray]) -> None:
@@ -42,7 +44,8 @@ def place_labels(axes: Axes, labels: Sequence[tuple[FloatArray, str, str]], line
     taken = [np.array([*(at - 5 * px_per_pt), *(at + 5 * px_per_pt)]) for at in places]
     for line in lines:
         taken += [np.array([*(at - px_per_pt), *(at + px_per_pt)]) for at in _sampled(axes, line, 3 * px_per_pt)]
-    taken += [np.array(text.get_window_extent(renderer).extents) for text in axes.texts if text.get_text()]
+    clear = APART_PT * px_per_pt * np.array([-1, -1, 1, 1])
+    taken += [clear + text.get_window_extent(renderer).extents for text in axes.texts if text.get_text()]
     whole = np.array(axes.get_window_extent(renderer).extents)
     for (data, text, colour), at in zip(labels, places, strict=True):
         drawn = axes.text(
