@@ -279,6 +279,8 @@ def test_by_hand_a_bus_that_goes_away_in_a_pause_is_waited_for(by_hand: Callable
 
     HandCapture(bench.rig, cast(Any, writer), duration_s=3.0, progress=progress, control=control, watch=watch).run()
     assert writer.state == "complete" and writer.counts["reconnects"] == 1 and writer.counts["pauses"] == 1
+    t_s = np.array(writer.frames)[:, 1] * 1e-9
+    assert not np.any((t_s > writer.at_s("state: paused") + 0.1) & (t_s < writer.at_s("paused for")))
     assert not any(bench.each("torque_enable"))
 
 
