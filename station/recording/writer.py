@@ -33,6 +33,7 @@ from station.recording.rrd_stream import FLUSH_TIMEOUT_S, RrdStream, check_rerun
 from station.recording.session_rows import SessionRows
 from station.session import (
     MOTION_FILE,
+    NEXT_MOTION_FILE,
     RIG_FILE,
     STATUS_FILE,
     Checkpoint,
@@ -43,9 +44,12 @@ from station.session import (
     drop_reserve,
     frames_file,
     lossless_files,
+    motion_sha256,
     piece_file,
     recording_pieces,
     reserve_status,
+    stage_motion,
+    take_staged_motion,
     write_status,
 )
 
@@ -134,7 +138,7 @@ class RecordingWriter:
             now_ns: what this program's clock says now.
             since_last_s: how long ago the last row was recorded; by the wall clock if None. The session's clock goes on
                 by that, and never backwards.
-            frames: how images are kept; without loss if None and if they were, else as JPEG.
+            frames: how images are kept; as they were if None.
 
         Raises:
             SessionBusy: another program records into the folder.
@@ -147,7 +151,7 @@ class RecordingWriter:
             earlier.description,
             start_ns=now_ns - round(earlier.elapsed_s * NS_PER_S),
             blueprint=blueprint,
-            frames=frames or ("ffv1" if lossless_files(folder) else "jpeg"),
+            frames=frames or earlier.status.images or ("ffv1" if lossless_files(folder) else "jpeg"),
             earlier=earlier,
         )
 
@@ -227,17 +231,28 @@ class RecordingWriter:
         if not self._closed:
             self._stream.flush(timeout_s)
 
-    def checkpoint(self, leg: int, legs: int, counts: Mapping[str, int] | None = None) -> None:
+    def checkpoint(
+        self, leg: int, legs: int, counts: Mapping[str, int] | None = None, motion: str | None = None
+    ) -> None:
         """Leg number `leg` (from 0) of `legs` begins: what was logged before is safe, and session.json says how far.
 
         Args:
             counts: so far, to add to those that are kept here: what a kill leaves of them in session.json.
+            motion: the session's motion.toml from this leg on; after a kill it is the one that session.json means.
         """
         self._check_open()
+        if motion is not None:
+            with written(self._folder / NEXT_MOTION_FILE):
+                stage_motion(self._folder, motion)
         self._stream.flush()
         self._stream.sync()
         self._status = replace(self._status, progress=Checkpoint(leg, legs), counts=self._total(counts))
+        if motion is not None:
+            self._status = replace(self._status, motion_sha256=motion_sha256(motion))
         self._write_status()
+        if motion is not None:
+            with written(self._folder / MOTION_FILE):
+                take_staged_motion(self._folder)
 
     def close(self, state: str, counts: Mapping[str, int] | None = None) -> None:
         """Finish the file and session.json, with a state, "complete" or "interrupted", and counts to add; once.
@@ -286,6 +301,7 @@ class RecordingWriter:
             seed=self._about.seed,
             versions=self._about.versions,
             starts=(SessionStart(self._about.started, 0.0),),
+            images=self._frames,
         )
 
     def _gone_on(self, earlier: Earlier) -> SessionStatus:
