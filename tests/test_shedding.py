@@ -163,3 +163,12 @@ def test_a_checkpoint_is_kept_only_when_the_frames_before_it_are(
 def test_what_waits_before_the_disk_is_less_than_the_second_that_a_kill_may_cost() -> None:
     """At 30 frames/s, with the recorder's queue full just before the next flush."""
     assert FRAMES_WAITING / 30.0 + FLUSH_PERIOD_S < 1.0
+
+
+def test_a_reading_that_the_recorder_has_no_place_for_is_counted(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("station.capture.recorder.ROWS_WAITING", 2)
+    tally = Tally()
+    full = Recorder(cast(Any, None), tally, waits=False)  # never started: nothing is taken off its queue
+    for t_ns in range(5):
+        full.command(t_ns, np.zeros(1))
+    assert tally.counts().readings_lost == 3
