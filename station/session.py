@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import re
@@ -30,6 +31,8 @@ RESERVE_FILE = "session.json.part"
 RESERVE_BYTES = 8192
 RIG_FILE = "rig.toml"
 MOTION_FILE = "motion.toml"
+# A motion that was lengthened, until session.json tells of its first further leg; then it is motion.toml.
+NEXT_MOTION_FILE = "motion.toml.next"
 # Frames without loss, with their stamps beside them (.csv).
 FRAMES_FILE = "frames.mkv"
 FRAMES = re.compile(r"frames(?:_(\d+))?\.mkv")
@@ -100,6 +103,8 @@ class SessionStatus:
         versions: of the programs that made it.
         progress: the last checkpoint that was reached; None before the first, and where there is no plan.
         starts: of the programs that recorded, the first one included; none in sessions made before 0.2.0.
+        motion_sha256: of motion.toml, where the motion was lengthened; else it is as in the recording.
+        images: how they are kept: "jpeg", "none" or "ffv1"; None in sessions that don't say.
 
     Raises:
         InvalidFile: for another state.
@@ -114,6 +119,8 @@ class SessionStatus:
     versions: Mapping[str, str] = field(default_factory=dict)
     progress: Checkpoint | None = None
     starts: tuple[SessionStart, ...] = ()
+    motion_sha256: str | None = None
+    images: str | None = None
 
     def __post_init__(self) -> None:
         if self.state not in STATES:
@@ -136,7 +143,7 @@ def piece_file(number: int) -> str:
 def recording_pieces(folder: Path) -> list[Path]:
     """The files that together are the session's recording, in order; none where nothing was recorded.
 
-    A session that was gone on with has several, until they are joined.
+    A long one has several, and one that was gone on with, until they are joined.
     """
     if (joined := folder / JOINED_FILE).exists():
         return [joined]
@@ -166,7 +173,7 @@ def next_piece(folder: Path) -> int:
 
 
 def later_pieces(folder: Path) -> list[Path]:
-    """The files after the first one, in order, that were begun when the session was gone on with."""
+    """The files after the first one, in order."""
     return [folder / piece_file(number) for number in _piece_numbers(folder)]
 
 
@@ -178,7 +185,16 @@ def _piece_numbers(folder: Path) -> list[int]:
 
 def clear_session(folder: Path) -> None:
     """Remove an earlier session's files, fit and report, so that nothing of it passes for the next one's."""
-    names = (RECORDING_FILE, JOINED_FILE, JOINING_FILE, STATUS_FILE, RESERVE_FILE, RIG_FILE, MOTION_FILE)
+    names = (
+        RECORDING_FILE,
+        JOINED_FILE,
+        JOINING_FILE,
+        STATUS_FILE,
+        RESERVE_FILE,
+        RIG_FILE,
+        MOTION_FILE,
+        NEXT_MOTION_FILE,
+    )
     videos = lossless_files(folder)
     stamps = [video.with_suffix(".csv") for video in videos]
     for path in (*(folder / name for name in names), *later_pieces(folder), *videos, *stamps):
@@ -202,6 +218,25 @@ def write_status(folder: Path, status: SessionStatus) -> None:
         file.flush()
         os.fsync(file.fileno())
     part.replace(folder / STATUS_FILE)
+
+
+def motion_sha256(text: str) -> str:
+    """By which session.json knows its motion.toml."""
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def stage_motion(folder: Path, text: str) -> None:
+    """Have the next motion.toml on the disk, beside the one that holds still."""
+    with (folder / NEXT_MOTION_FILE).open("w", encoding="utf-8", newline="\n") as file:
+        file.write(text)
+        file.flush()
+        os.fsync(file.fileno())
+
+
+def take_staged_motion(folder: Path) -> None:
+    """Have the next motion.toml take the place of the last one, if there is one."""
+    with suppress(FileNotFoundError):
+        (folder / NEXT_MOTION_FILE).replace(folder / MOTION_FILE)
 
 
 def reserve_status(folder: Path) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, cast
 
 import numpy as np
@@ -198,3 +199,15 @@ def test_by_hand_a_pause_is_left_out_and_a_stop_is_the_normal_end(tmp_path: Path
         assert writer.counts["pauses"] == 1 and 148 <= writer.counts["readings"] <= 153  # of 3 s, the pause left out
         assert writer.at_s("stopped") - writer.at_s("moved by hand") == pytest.approx(8.0, abs=0.2)
         assert not any(bench.each("torque_enable"))
+
+
+def test_the_recording_says_what_the_live_view_left_out_and_why(tmp_path: Path) -> None:
+    class Behind:
+        shed = MappingProxyType({"view behind": 3, "over the view's rate": 40})
+
+        def offer(self, item: object) -> None: ...
+
+    with lab(tmp_path, "demo", QUIET) as bench:
+        captured(bench, Control(), live=Behind())
+        assert bench.writer.events[-1] == "INFO not shown in the live view: 3 (view behind), 40 (over the view's rate)"
+        assert bench.writer.counts["live_view_shed"] == 43

@@ -27,6 +27,7 @@ from station.doctor.fixes import FIXES
 from station.doctor.port import UDEV_RULE, System, check_port
 from station.errors import StationError
 from station.formats.rig import RigTable, parse_rig
+from station.recording.sizes import ExpectedRates
 from station.rig_reading import packaged, packaged_names
 
 LATENCY_S = 0.03  # replies are waited for four times as long
@@ -511,9 +512,10 @@ def test_a_rig_without_a_latency_is_told():
     ("free_minutes", "verdict"), [(0.5, Verdict.BLOCKS), (5.0, Verdict.WARNING), (500.0, Verdict.OK)]
 )
 def test_the_disk_is_held_against_a_minute_of_capture(tmp_path: Path, free_minutes: float, verdict: Verdict):
-    minute_bytes = check_disk(tmp_path, 0, 80e3, 30.0).values["minute_bytes"]
+    rates = ExpectedRates(fps=30.0, image_bytes=80e3, markers=12, joints=4, servos=6)
+    minute_bytes = check_disk(tmp_path, 0, rates).values["minute_bytes"]
     assert isinstance(minute_bytes, int) and minute_bytes > 60 * 30 * 80e3
-    assert check_disk(tmp_path, round(free_minutes * minute_bytes), 80e3, 30.0).verdict is verdict
+    assert check_disk(tmp_path, round(free_minutes * minute_bytes), rates).verdict is verdict
 
 
 @pytest.mark.parametrize("rig", packaged_names("rigs"))

@@ -17,6 +17,7 @@ from drivers.camera import Camera, Frame
 from drivers.clock import Clock
 from drivers.errors import CameraLost, CameraStalled, NoCamera
 from station.capture.by_hand import HandCapture, take_in_hand
+from station.capture.control import Control, Wish
 from station.capture.service import Capture
 from station.capture.snapshot import Snapshot
 from station.capture.states import State
@@ -260,3 +261,94 @@ def test_by_hand_readings_go_on_while_the_camera_is_away(by_hand: Callable[[str]
     HandCapture(bench.rig, cast(Any, writer), duration_s=8.0).run()
     assert writer.state == "complete" and 395 < writer.counts["readings"] < 405
     assert 150 < writer.counts["frames"] < 200 and any("the camera is back" in event for event in writer.events)
+
+
+def test_by_hand_a_bus_that_goes_away_in_a_pause_is_waited_for(by_hand: Callable[[str], Lab]) -> None:
+    bench = by_hand("unplug@2+2")
+    # As on a real clock: the servos are read during a pause, too.
+    bench.rig = replace(bench.rig, virtual=False)
+    writer, control = with_frames(bench, GreyCamera(bench.rig.clock)), Control()
+
+    def progress(done_s: float, total_s: float) -> None:
+        if done_s >= 1.0 and not any("paused" in event for event in writer.events):
+            control.pause()
+
+    def watch(shot: Snapshot) -> None:
+        if shot.state == State.PAUSED and shot.t_s > 6.0:
+            control.resume()
+
+    HandCapture(bench.rig, cast(Any, writer), duration_s=3.0, progress=progress, control=control, watch=watch).run()
+    assert writer.state == "complete" and writer.counts["reconnects"] == 1 and writer.counts["pauses"] == 1
+    assert not any(bench.each("torque_enable"))
+
+
+class Fleeting(Control):
+    """A pause that is taken back before the servo loop gets to it: seen once."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.due = False
+
+    @property
+    def wish(self) -> Wish:
+        asked, self.due = self.due, False
+        return Wish.PAUSE if asked else super().wish
+
+
+def test_nothing_is_recorded_on_the_way_back_after_a_pause_that_was_taken_back_at_once(tmp_path: Path) -> None:
+    with lab(tmp_path, "demo", QUIET) as bench:
+        writer, control = with_frames(bench, GreyCamera(bench.rig.clock)), Fleeting()
+        asked_s: list[float] = []
+
+        def progress(done_s: float, total_s: float) -> None:
+            if done_s >= 4.0 and not asked_s:
+                asked_s.append(bench.rig.clock.now_ns() * 1e-9)
+                control.due = True
+
+        capture(bench, control=control, progress=progress)
+        t_s = np.array(writer.frames)[:, 1] * 1e-9
+        again_s = writer.at_s("leg 1 of 1 again")
+        assert again_s > asked_s[0] + 1.0 and writer.state == "complete"
+        assert not np.any((t_s > asked_s[0] + 0.1) & (t_s < again_s))
+
+
+class TwiceCamera(GreyCamera):
+    """Gives each tenth picture twice, with one stamp, as a network camera on a busy machine does."""
+
+    def __init__(self, clock: Clock) -> None:
+        super().__init__(clock)
+        self._given = 0
+        self._again: Frame | None = None
+
+    def read(self, until_ns: int) -> Frame | None:
+        if (again := self._again) is not None:
+            self._again = None
+        elif (again := super().read(until_ns)) is not None and again.index % 10 == 9:
+            self._again = again
+        if again is None:
+            return None
+        self._given += 1
+        return replace(again, index=self._given - 1)
+
+
+def test_of_two_frames_with_one_stamp_the_second_counts_as_dropped(tmp_path: Path) -> None:
+    with lab(tmp_path, "demo", QUIET) as bench:
+        writer = with_frames(bench, TwiceCamera(bench.rig.clock))
+        capture(bench)
+        assert np.all(np.diff(np.array(writer.frames)[:, 1]) > 0)
+        assert writer.counts["dropped_by_camera"] == pytest.approx(writer.counts["frames"] / 10, abs=1)
+
+
+class LateCamera(GreyCamera):
+    """Hands a picture over 0.2 s after it was taken."""
+
+    def read(self, until_ns: int) -> Frame | None:
+        frame = super().read(until_ns)
+        return None if frame is None else replace(frame, t_ns=frame.t_ns - 200_000_000)
+
+
+def test_a_frame_that_was_taken_before_the_motion_is_not_recorded_however_late_it_comes(tmp_path: Path) -> None:
+    with lab(tmp_path, "demo", QUIET) as bench:
+        writer = with_frames(bench, LateCamera(bench.rig.clock))
+        capture(bench)
+        assert writer.frames[0][1] * 1e-9 >= writer.at_s("starts: ")

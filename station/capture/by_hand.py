@@ -56,6 +56,7 @@ class HandCapture:
         self._duration_s, self._progress = duration_s, progress
         self._crew = Crew(rig, writer, control=control, watch=watch, live=live)
         self._start_ns = self._turn = 0
+        self._look_ns = 0  # when a bus that is away is looked for next
         self._lost: tuple[int, BusLost] | None = None  # since when the bus is away
 
     def run(self) -> CaptureCounts:
@@ -118,7 +119,7 @@ class HandCapture:
         if self._progress is not None:
             self._progress(crew.situation.done_s, self._duration_s or crew.situation.done_s)
         held_from_ns = crew.clock.now_ns()
-        if heed(crew, holds=False):
+        if heed(crew, holds=False, read=self._read):
             self._start_ns += crew.clock.now_ns() - held_from_ns
             crew.frames.open()
 
@@ -146,8 +147,9 @@ class HandCapture:
         if self._lost is None:
             return False
         (since_ns, lost), crew = self._lost, self._crew
-        if self._turn % round(SERVO_RATE_HZ * RECONNECT_EVERY_S):
+        if crew.clock.now_ns() < self._look_ns:
             return True
+        self._look_ns = crew.clock.now_ns() + int(RECONNECT_EVERY_S * NS_PER_S)
         try:
             self._rig.arm.connect()
         except (BusLost, NoReply):

@@ -42,11 +42,12 @@ class Crew:
         control: Control | None = None,
         watch: Watcher | None = None,
         live: LiveView | None = None,
+        motion: MotionTally | None = None,
     ) -> None:
         self.rig, self.clock, self.has_arm = rig, rig.clock, bool(rig.table.joint)
         self.control = control or Control()
         self.tally, self.situation = Tally(), Situation()
-        self.motion = MotionTally(rig.table.limits(), sides_of(rig.table))
+        self.motion = motion or MotionTally(rig.table.limits(), sides_of(rig.table))
         self.recorder = Recorder(writer, self.tally, waits=rig.virtual)
         self.journal = Journal(rig.clock, self.recorder, live)
         self.frames = FrameLine(rig, self.recorder, self.journal, self.tally, live)
@@ -117,9 +118,13 @@ class Crew:
             reasons = ", ".join(f"{count} ({reason})" for reason, count in shed.items())
             self.journal.info(f"not shown in the live view: {reasons}")
 
-    def checkpoint(self, leg: int, legs: int) -> None:
-        """A leg of the plan begins: once the frames before it are recorded, all before it is safe from a kill."""
-        self.frames.detection.afterwards(lambda: self.recorder.checkpoint(leg, legs, self.counts()))
+    def checkpoint(self, leg: int, legs: int, motion: str | None = None) -> None:
+        """A leg of the plan begins: once the frames before it are recorded, all before it is safe from a kill.
+
+        Args:
+            motion: the session's motion.toml from now on, where the plan was lengthened.
+        """
+        self.frames.detection.afterwards(lambda: self.recorder.checkpoint(leg, legs, self.counts(), motion))
 
     def _entered(self, state: State) -> None:
         self.journal.info(f"state: {state}")

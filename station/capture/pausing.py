@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 
 from station.capture.control import StopAsked, Wish
 from station.capture.crew import TURN_NS, Crew
@@ -12,7 +13,7 @@ from station.capture.states import State
 LOOK_S = 0.2
 
 
-def heed(crew: Crew, *, holds: bool) -> bool:
+def heed(crew: Crew, *, holds: bool, read: Callable[[], object] | None = None) -> bool:
     """See to what is asked for, each turn; returns whether there was a pause.
 
     Nothing is recorded during a pause. The servos are read on, which is what watches over them and keeps their bus
@@ -20,17 +21,18 @@ def heed(crew: Crew, *, holds: bool) -> bool:
 
     Args:
         holds: whether the arm is to hold itself, at once; it is limp if not.
+        read: watches the servos each turn of a pause; `crew.read` if None.
 
     Raises:
         StopAsked: somebody asked for the end.
     """
-    paused = heed_pause(crew, holds=holds)
+    paused = heed_pause(crew, holds=holds, read=read)
     if crew.control.wish is Wish.STOP:
         raise StopAsked
     return paused
 
 
-def heed_pause(crew: Crew, *, holds: bool) -> bool:
+def heed_pause(crew: Crew, *, holds: bool, read: Callable[[], object] | None = None) -> bool:
     """Pause if that is asked for; returns whether it was."""
     if crew.control.wish is not Wish.PAUSE:
         return False
@@ -41,7 +43,9 @@ def heed_pause(crew: Crew, *, holds: bool) -> bool:
     crew.tally.add("pauses")
     crew.states.to(State.PAUSED)
     since_s = time.monotonic()
-    while (crew.control.wait_while_paused(LOOK_S) if crew.rig.virtual else _next_turn(crew)) is Wish.PAUSE:
+    while (
+        crew.control.wait_while_paused(LOOK_S) if crew.rig.virtual else _next_turn(crew, read or crew.read)
+    ) is Wish.PAUSE:
         crew.tell()
     crew.journal.info(f"paused for {time.monotonic() - since_s:.1f} s")
     crew.states.to(before)
@@ -54,11 +58,10 @@ def hold(crew: Crew) -> None:
     crew.situation.goal = crew.read().q
 
 
-def _next_turn(crew: Crew) -> Wish:
+def _next_turn(crew: Crew, read: Callable[[], object]) -> Wish:
     """Watch the servos for a turn of a pause."""
     crew.clock.sleep_until_ns(crew.clock.now_ns() + TURN_NS)
-    if crew.has_arm:
-        crew.read()
+    read()
     if not crew.leaving:
         crew.check()
     return crew.control.wish

@@ -41,7 +41,9 @@ class SessionWriter(Protocol):
 
     def log_frame(self, index: int, t_ns: int, image: bytes | Image | None, markers: FrameMarkers) -> None: ...
 
-    def checkpoint(self, leg: int, legs: int, counts: Mapping[str, int] | None = None) -> None: ...
+    def checkpoint(
+        self, leg: int, legs: int, counts: Mapping[str, int] | None = None, motion: str | None = None
+    ) -> None: ...
 
     def close(self, state: str, counts: Mapping[str, int] | None = None) -> None: ...
 
@@ -77,9 +79,9 @@ class Recorder:
         """What the servos said of themselves."""
         self._row(lambda: self._writer.log_servos(reading.t_ns, reading.servos))
 
-    def checkpoint(self, leg: int, legs: int, counts: CaptureCounts) -> None:
-        """A leg of the plan begins, and all that belongs before it has been given."""
-        self._worker.give("row", lambda: self._writer.checkpoint(leg, legs, counts.as_dict()))
+    def checkpoint(self, leg: int, legs: int, counts: CaptureCounts, motion: str | None = None) -> None:
+        """A leg of the plan begins, by a new motion.toml if there is one; all that belongs before it has been given."""
+        self._worker.give("row", lambda: self._writer.checkpoint(leg, legs, counts.as_dict(), motion))
 
     def frame(self, frame: Frame, markers: FrameMarkers) -> None:
         """A frame and its markers; drops what there is no time for, and counts it."""

@@ -7,17 +7,21 @@ take turns.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from station.capture.control import Control, StopAsked
 from station.capture.counts import CaptureCounts
 from station.capture.crew import Crew
 from station.capture.ending import Unbroken, end
 from station.capture.leaving import leave, say_left
+from station.capture.lengthening import Lengthening
 from station.capture.live_view import LiveView
 from station.capture.pausing import heed
 from station.capture.recorder import SessionWriter
 from station.capture.servo_loop import Progress, ServoLoop
 from station.capture.snapshot import Watcher
 from station.capture.states import State
+from station.enough_motion import MotionTally
 from station.motion import Plan
 from station.rig import Rig
 
@@ -31,6 +35,9 @@ class Capture:
         watch: is given snapshots.
         live: is shown frames while there is time for it.
         first_leg: the plan's leg to begin with, to go on in a session.
+        lengthening: adds legs at the plan's end while a joint lacks motion.
+        motion: what was seen of the joints' motion before, to go on in a session.
+        remarks: warnings to be recorded at the start.
     """
 
     def __init__(
@@ -44,10 +51,13 @@ class Capture:
         watch: Watcher | None = None,
         live: LiveView | None = None,
         first_leg: int = 0,
+        lengthening: Lengthening | None = None,
+        motion: MotionTally | None = None,
+        remarks: Sequence[str] = (),
     ) -> None:
-        self._plan, self._writer = plan, writer
-        self._crew = Crew(rig, writer, control=control, watch=watch, live=live)
-        self._loop = ServoLoop(self._crew, plan, progress, first_leg)
+        self._plan, self._writer, self._remarks = plan, writer, tuple(remarks)
+        self._crew = Crew(rig, writer, control=control, watch=watch, live=live, motion=motion)
+        self._loop = ServoLoop(self._crew, plan, progress, first_leg, lengthening)
         self._powered = False
 
     def run(self) -> CaptureCounts:
@@ -90,8 +100,8 @@ class Capture:
         crew.states.to(State.CHECKING)
         arm.connect()
         crew.journal.info(f"connected: {', '.join(arm.names)}")
-        for note in self._plan.motion.notes:
-            crew.journal.warn(note)
+        for remark in (*self._plan.motion.notes, *self._remarks):
+            crew.journal.warn(remark)
         heed(crew, holds=False)
         self._powered = True
         arm.torque_on()

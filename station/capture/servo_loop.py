@@ -11,6 +11,7 @@ from station.capture.approach import approach
 from station.capture.control import StopAsked, Wish
 from station.capture.crew import NS_PER_S, SERVO_RATE_HZ, TURN_NS, Crew
 from station.capture.leaving import RECONNECT_EVERY_S
+from station.capture.lengthening import Lengthening, lacking_text
 from station.capture.pausing import heed, hold
 from station.capture.states import State
 from station.logs import FloatArray
@@ -28,10 +29,19 @@ class ServoLoop:
 
     Args:
         first_leg: the plan's leg to begin with.
+        lengthening: adds legs at the plan's end while a joint lacks motion.
     """
 
-    def __init__(self, crew: Crew, plan: Plan, progress: Progress | None, first_leg: int = 0) -> None:
-        self._crew, self._progress = crew, progress
+    def __init__(
+        self,
+        crew: Crew,
+        plan: Plan,
+        progress: Progress | None,
+        first_leg: int = 0,
+        lengthening: Lengthening | None = None,
+    ) -> None:
+        self._crew, self._progress, self._lengthening = crew, progress, lengthening
+        self._new_text: str | None = None  # the motion.toml of a plan that was lengthened, until a checkpoint has it
         self._leg, self._begins = first_leg, True  # the leg under way, and whether it is to begin, or begin again
         self._started = self._speeds_set = False
         self._start_ns = self._sent = self._turn = 0
@@ -49,7 +59,7 @@ class ServoLoop:
 
     def run(self) -> None:
         """To the end of the plan."""
-        while self._begins or self._now_ns() < self._end_ns:
+        while self._begins or self._now_ns() < self._end_ns or self._lengthened():
             try:
                 if self._begins:
                     self._begin_leg()
@@ -64,9 +74,34 @@ class ServoLoop:
         """The plan's time."""
         return self._crew.clock.now_ns() - self._start_ns
 
+    def _lengthened(self) -> bool:
+        """Whether the plan, which is at its end, has got further legs; says what lacks."""
+        crew, lengthening, legs = self._crew, self._lengthening, len(self._plan.segments)
+        if lengthening is None:
+            return False
+        shares, lasted_ns = crew.motion.shares(), self._end_ns
+        longer = lengthening.longer(self._plan, shares)
+        if longer is None:
+            if lacks := lengthening.lacks(shares):
+                crew.journal.warn(lacks)
+            return False
+        self._new_text = lengthening.text
+        self._follow(longer)
+        begins_ns = int(self._leg_starts_ns[legs])
+        self._start_ns += lasted_ns - begins_ns  # legs that were begun again in mid-curve took longer than they do here
+        self._sent = int(np.searchsorted(self._due_ns, begins_ns, side="left"))
+        self._turn = int(begins_ns * SERVO_RATE_HZ / NS_PER_S)
+        more_s = (self._end_ns - begins_ns) / NS_PER_S
+        crew.journal.info(
+            f"further motion, round {lengthening.rounds}: {more_s:.1f} s more; of what a fit needs was seen of "
+            f"these joints' motion: {lacking_text(shares)}"
+        )
+        return True
+
     def _begin_leg(self) -> None:
         """Go slowly to where the leg begins, once nothing holds the arm any more; then its time begins."""
         crew, leg = self._crew, self._leg
+        crew.frames.close()
         while self._heed() or self._waited_for_camera():
             pass
         self._follow(self._plan.restarted(leg))
@@ -120,7 +155,8 @@ class ServoLoop:
         crew, segment = self._crew, self._plan.segments[leg]
         if leg != self._leg or not self._speeds_set:
             self._leg, self._speeds_set = leg, True
-            crew.checkpoint(leg, len(self._plan.segments))
+            crew.checkpoint(leg, len(self._plan.segments), self._new_text)
+            self._new_text = None
             crew.rig.arm.set_speeds(self._speeds(leg))
             crew.journal.info(f"step {segment.step}")
             crew.situation.step = f"step {segment.step}, leg {leg + 1} of {len(self._plan.segments)}"

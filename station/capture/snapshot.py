@@ -43,6 +43,7 @@ class Snapshot:
         lost: by reason, what was counted and not recorded: "camera", "detection", "recorder", "live view".
         seen_s: by part, seconds since its markers were last seen; None if never.
         said: the last warning or error.
+        bytes_per_s: how fast the recording grows, as foretold; None if unknown.
     """
 
     state: State
@@ -57,6 +58,7 @@ class Snapshot:
     seen_s: Mapping[str, float | None]
     bus_errors: int
     said: str
+    bytes_per_s: float | None = None
 
 
 Watcher = Callable[[Snapshot], None]

@@ -119,7 +119,7 @@ class Attendant:
             return
         ends = self._ended.is_set() or self.control.wish is Wish.STOP
         foot = "   ".join(filter(None, ("" if ends else self._hint, self._foot)))
-        live.update(Dashboard(snapshot, self._disk.text(), self._asked(), foot), refresh=True)
+        live.update(Dashboard(snapshot, self._disk.text(snapshot.bytes_per_s), self._asked(), foot), refresh=True)
 
     def _asked(self) -> str:
         wish = self.control.wish
@@ -150,16 +150,21 @@ class Disk:
         self._looked_s = -DISK_EVERY_S
         self._text = ""
 
-    def text(self) -> str:
-        """Such as "12.3 GB left"."""
+    def text(self, bytes_per_s: float | None = None) -> str:
+        """Such as "70.7 GB left, 38 h"; the time is at so many bytes a second."""
         if (now_s := time.monotonic()) - self._looked_s >= DISK_EVERY_S:
             self._looked_s = now_s
             try:
                 free = shutil.disk_usage(self._folder).free
             except OSError:
                 return self._text  # the folder isn't there yet, or its disk is gone
-            self._text = f"{free / 1e9:.1f} GB left"
+            self._text = f"{free / 1e9:.1f} GB left" + (f", {_long(free / bytes_per_s)}" if bytes_per_s else "")
         return self._text
+
+
+def _long(lasts_s: float) -> str:
+    """Roughly: 38 h, 45 min."""
+    return f"{lasts_s / 3600:.0f} h" if lasts_s >= 7200 else f"{lasts_s / 60:.0f} min"
 
 
 def _line(now: Snapshot, before: Snapshot | None) -> str:

@@ -14,6 +14,8 @@ from station.cli.app import app
 from station.cli.options import (
     DryRun,
     Force,
+    Frames,
+    FramesKept,
     Headless,
     Json,
     MotionArgument,
@@ -24,6 +26,7 @@ from station.cli.options import (
     RigArgument,
     Seed,
     Simulate,
+    UntilEnough,
     View,
     Yes,
 )
@@ -63,6 +66,8 @@ def run(
     seed: Seed = None,
     simulate: Simulate = False,
     realtime: Realtime = False,
+    until_enough: UntilEnough = 0,
+    frames: FramesKept = None,
     view: View = False,
     headless: Headless = False,
     port: Port = None,
@@ -72,10 +77,11 @@ def run(
 ) -> None:
     """Capture, fit, compare and report in one go."""
     if dry_run:
-        _show_dry_run(rig, motion, out, simulate=simulate, force=force, as_json=as_json)
+        _show_dry_run(rig, motion, out, simulate=simulate, force=force, as_json=as_json, **_kept(frames))
         return
     with live_view(view=view, headless=headless, port=port) as live:
-        _run(rig, motion, out, as_json, live, seed=seed, simulate=simulate, realtime=realtime, force=force)
+        made = {"seed": seed, "simulate": simulate, "realtime": realtime, "force": force}
+        _run(rig, motion, out, as_json, live, **made, until_enough=until_enough, **_kept(frames))
 
 
 def _run(rig: str, motion: str, out: Path, as_json: bool, live: LiveServer | None, **settings: Any) -> None:
@@ -121,6 +127,8 @@ def capture(
     seed: Seed = None,
     simulate: Simulate = False,
     realtime: Realtime = False,
+    until_enough: UntilEnough = 0,
+    frames: FramesKept = None,
     view: View = False,
     headless: Headless = False,
     port: Port = None,
@@ -136,22 +144,28 @@ def capture(
     With --hand torque goes off and stays off: an arm that was held DROPS, and you are asked before. The rig needs no
     servos then. Ctrl-C is the normal end.
     """
-    made: dict[str, Any] = {"seed": seed, "simulate": simulate, "force": force}
+    made: dict[str, Any] = {"seed": seed, "simulate": simulate, "force": force, **_kept(frames)}
     if resume is not None and (any((rig, motion, out, hand)) or any(made.values()) or seed is not None):
-        raise typer.BadParameter("--resume takes rig, motion, folder and seed from the session: want none beside it")
+        raise typer.BadParameter(
+            "--resume takes rig, motion, folder, seed and frames from the session: want none beside it"
+        )
     if resume is None and (rig is None or out is None):
         raise typer.BadParameter("want RIG and --out, or --resume SESSION")
     if resume is None and hand == (motion is not None):
         raise typer.BadParameter("want a motion, or --hand" if not hand else "want a motion or --hand, not both")
     if duration_s is not None and not hand:
         raise typer.BadParameter("--duration-s goes with --hand; a motion lasts as long as it does")
+    if hand and until_enough:
+        raise typer.BadParameter("--until-enough goes with a motion: with --hand people see to it")
     if dry_run:
         if motion is None:
             raise typer.BadParameter("--dry-run goes with RIG and MOTION: what a hand will do nobody knows")
-        _show_dry_run(str(rig), motion, Path(str(out)), simulate=simulate, force=force, as_json=as_json)
+        _show_dry_run(
+            str(rig), motion, Path(str(out)), simulate=simulate, force=force, as_json=as_json, **_kept(frames)
+        )
         return
     with live_view(view=view, headless=headless, port=port) as live:
-        settings = {"live": live, "realtime": realtime}
+        settings = {"live": live, "realtime": realtime, "until_enough": until_enough}
         if resume is not None:
             counts = _resume(resume, settings)
         else:
@@ -184,6 +198,11 @@ def _resume(session: Path, settings: dict[str, Any]) -> CaptureCounts:
         return capturing.resume(session, **settings, **attendant.settings())
 
 
+def _kept(frames: Frames | None) -> dict[str, str]:
+    """The setting of how images are kept, where it is given."""
+    return {} if frames is None else {"frames": frames.value}
+
+
 def _show_counts(counts: CaptureCounts) -> None:
     """What was recorded, and what else was counted if it happened at all."""
     always = ("frames", "dropped_frames", "commands", "readings", "bus_errors")
@@ -192,10 +211,10 @@ def _show_counts(counts: CaptureCounts) -> None:
             print(f"{name.replace('_', ' '):22} {number}")
 
 
-def _show_dry_run(rig: str, motion: str, out: Path, *, simulate: bool, force: bool, as_json: bool) -> None:
+def _show_dry_run(rig: str, motion: str, out: Path, **settings: Any) -> None:
     from station.cli.plan import show_dry_run
 
-    show_dry_run(rig, motion, out, simulate=simulate, force=force, as_json=as_json)
+    show_dry_run(rig, motion, out, **settings)
 
 
 @contextmanager

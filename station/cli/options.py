@@ -16,6 +16,14 @@ class Method(StrEnum):
     paper = "paper"
 
 
+class Frames(StrEnum):
+    """Ways to keep images."""
+
+    jpeg = "jpeg"
+    none = "none"
+    ffv1 = "ffv1"
+
+
 Out = Annotated[Path, typer.Option("--out", help="Folder for the result; must be new or empty.", show_default=False)]
 Force = Annotated[bool, typer.Option("--force", help="Overwrite what is in the folder.")]
 Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
@@ -34,6 +42,24 @@ Resume = Annotated[
 Realtime = Annotated[bool, typer.Option("--realtime", help="Simulate on the real clock instead of a virtual one.")]
 Simulate = Annotated[
     bool, typer.Option("--simulate", help="Emulated servos and a rendered camera, whatever the rig names.")
+]
+FramesKept = Annotated[
+    Frames | None,
+    typer.Option(
+        "--frames",
+        help="How images are kept: jpeg (if not given), none, or ffv1, without loss, which needs the extra 'lossless'.",
+        show_default=False,
+    ),
+]
+UntilEnough = Annotated[
+    int,
+    typer.Option(
+        "--until-enough",
+        metavar="N",
+        min=0,
+        help="Go on after the motion, N further rounds at most, while a joint moved too little for a fit where the "
+        "camera saw it; 0: don't.",
+    ),
 ]
 View = Annotated[bool, typer.Option("--view", help="Open the rerun viewer on the capture as it goes.")]
 Headless = Annotated[

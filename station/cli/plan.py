@@ -43,18 +43,20 @@ def plan(
 
     if out is not None:
         check_output_folder(out, force=force)
-    outlook = foreseeing.foresee_motion(rig, motion, tree=tree, simulate=simulate)
+    outlook = foreseeing.foresee_motion(rig, motion, tree=tree, simulate=simulate, folder=out)
     pictures = () if out is None else foreseeing.save_picture(outlook, out / foreseeing.PICTURE)
     _show(outlook, rig, pictures, as_json)
 
 
-def show_dry_run(rig: str, motion: str, out: Path, *, simulate: bool, force: bool, as_json: bool) -> None:
+def show_dry_run(
+    rig: str, motion: str, out: Path, *, simulate: bool, force: bool, as_json: bool, frames: str = "jpeg"
+) -> None:
     """What a capture would do: the same checks, and the picture beside the session's folder, which stays free."""
     from station.commands import foreseeing
     from station.session import check_output_folder
 
     check_output_folder(out, force=force)
-    outlook = foreseeing.foresee_motion(rig, motion, simulate=simulate)
+    outlook = foreseeing.foresee_motion(rig, motion, simulate=simulate, folder=out, frames=frames)
     _show(outlook, rig, foreseeing.save_picture(outlook, out.with_name(f"{out.name}_plan")), as_json)
 
 

@@ -3,23 +3,31 @@
 from __future__ import annotations
 
 from contextlib import AbstractContextManager, nullcontext
+from dataclasses import replace
 from datetime import UTC, datetime
 from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, TypedDict, Unpack
 
-from station.commands.planning import planned_motion
+import numpy as np
+
+from station.commands.planning import planned_motion, room_remarks
 from station.errors import InvalidData
 from station.formats.camera import format_camera, parse_camera
 from station.formats.markers import format_markers
+from station.formats.text import read_text
 from station.motion import Plan
 from station.session import (
     MOTION_FILE,
+    NEXT_MOTION_FILE,
     RIG_FILE,
     Checkpoint,
     SessionDescription,
+    SessionStatus,
     check_output_folder,
+    motion_sha256,
     read_status,
+    take_staged_motion,
 )
 
 if TYPE_CHECKING:
@@ -29,13 +37,17 @@ if TYPE_CHECKING:
     from station.capture.servo_loop import Progress
     from station.capture.snapshot import Watcher
     from station.commands.live import LiveServer
+    from station.enough_motion import MotionTally
+    from station.formats.rig import RigTable
     from station.hand_motion import HandMotion
-    from station.recording import RecordingWriter
+    from station.recording import Recording, RecordingWriter
     from station.releasing import Ask
     from station.rig import Rig, RigFile
 
 # On a virtual clock a session goes on so long after its last row: how long the machine took is of no account.
 VIRTUAL_GAP_S = 1.0
+# As the crew of a capture counts motion.
+MOTION_EVERY_S = 0.1
 # In the order of the report's facts.
 VERSIONED = ("capture-fit-station", "numpy", "scipy", "opencv-contrib-python-headless", "rerun-sdk", "dynamixel-sdk")
 
@@ -53,7 +65,10 @@ class CaptureSettings(TypedDict, total=False):
         simulate: emulated bus and rendered camera whatever the rig names.
         realtime: the real clock also where all is simulated.
         force: overwrite an earlier session in the folder.
-        frames: how images are kept: "jpeg" (if not given), "none", or "ffv1", without loss.
+        frames: how images are kept: "jpeg" (if not given), "none", or "ffv1", without loss; a session that is gone on
+            with keeps its way.
+        until_enough: add rounds of further motion, so many in a session at most, while a joint moved too little for a
+            fit where the camera saw it; none if 0 or not given.
         progress: called with seconds done and in all.
         control: what people ask of the capture while it runs: pause, go on, stop.
         watch: called some times a second with what the capture is doing.
@@ -65,6 +80,7 @@ class CaptureSettings(TypedDict, total=False):
     realtime: bool
     force: bool
     frames: str
+    until_enough: int
     progress: Progress | None
     control: Control | None
     watch: Watcher | None
@@ -89,15 +105,25 @@ def record_motion(
     rig_file: RigFile, planned: Plan, motion_text: str, out: Path, **settings: Unpack[CaptureSettings]
 ) -> CaptureCounts:
     """Run a planned motion on a rig into the session folder `out`; errors as for `capture`."""
+    from station.capture.lengthening import Lengthening
     from station.capture.service import Capture
 
     check_output_folder(out, force=settings.get("force", False))
+    _check_frames(settings)
     with (
         _opened(rig_file, settings) as opened,
         _writer(rig_file, opened, motion_text, out, settings) as writer,
         _live_view(opened, writer, out, settings) as live,
     ):
-        return Capture(opened, planned, writer, live=live, **_wishes(settings)).run()
+        return Capture(
+            opened,
+            planned,
+            writer,
+            live=live,
+            lengthening=Lengthening(motion_text, settings.get("until_enough", 0)),
+            remarks=room_remarks(rig_file, planned, out, settings.get("frames", "jpeg")),
+            **_wishes(rig_file, settings),
+        ).run()
 
 
 def resume(session: Path, **settings: Unpack[CaptureSettings]) -> CaptureCounts:
@@ -113,20 +139,21 @@ def resume(session: Path, **settings: Unpack[CaptureSettings]) -> CaptureCounts:
         StationError: there is nothing to go on with: no session, a complete one, or one that is being recorded.
         DriverError: as for `capture`.
     """
+    from station.capture.lengthening import Lengthening
     from station.capture.service import Capture
     from station.recording import Recording, RecordingWriter
     from station.view import session_blueprint
 
     check_resumable(session)
-    about = Recording.load(session).description
-    rig_file = _own_rig(session, about)
-    planned, text = planned_motion(rig_file, str(session / MOTION_FILE))
-    if text != about.motion:
-        raise InvalidData(
-            f"{session / MOTION_FILE} isn't the motion that the session was captured with\n"
-            "put the session's own back (the recording has it, the report shows it), or record into another folder"
-        )
-    first_leg = _leg_to_go_on_from(session, planned, read_status(session).progress)
+    recording = Recording.load(session)
+    about = recording.description
+    rig_file, status = _own_rig(session, about), read_status(session)
+    planned, motion_text = _own_motion(session, rig_file, about, status)
+    first_leg = _leg_to_go_on_from(session, planned, status.progress)
+    moved = _moved_so_far(recording, rig_file.table)
+    del recording  # hours of it are gigabytes
+    settings["frames"] = status.images or "jpeg"
+    _check_frames(settings)
     settings["seed"] = about.seed
     settings["simulate"] = about.seed is not None
     with (
@@ -139,7 +166,17 @@ def resume(session: Path, **settings: Unpack[CaptureSettings]) -> CaptureCounts:
         ) as writer,
         _live_view(opened, writer, session, settings) as live,
     ):
-        return Capture(opened, planned, writer, live=live, first_leg=first_leg, **_wishes(settings)).run()
+        return Capture(
+            opened,
+            planned,
+            writer,
+            live=live,
+            first_leg=first_leg,
+            lengthening=Lengthening(motion_text, settings.get("until_enough", 0)),
+            motion=moved,
+            remarks=room_remarks(rig_file, planned, session, settings["frames"]),
+            **_wishes(rig_file, settings),
+        ).run()
 
 
 def check_resumable(session: Path) -> None:
@@ -159,6 +196,40 @@ def _own_rig(session: Path, about: SessionDescription) -> RigFile:
 
     table, text, path = read_rig(str(session / RIG_FILE))
     return RigFile(table, text, str(path), parse_camera(about.camera, f"{session}, camera.toml"))
+
+
+def _own_motion(session: Path, rig_file: RigFile, about: SessionDescription, status: SessionStatus) -> tuple[Plan, str]:
+    """The session's motion, lengthened if it was: also where a kill came before the new one was motion.toml."""
+    own = status.motion_sha256 or motion_sha256(about.motion or "")
+    staged = session / NEXT_MOTION_FILE
+    if staged.exists() and motion_sha256(read_text(staged, "motion")) == own:
+        take_staged_motion(session)
+    planned, text = planned_motion(rig_file, str(session / MOTION_FILE))
+    if motion_sha256(text) != own:
+        raise InvalidData(
+            f"{session / MOTION_FILE} isn't the motion that the session was captured with\n"
+            "put the session's own back (the recording has it, the report shows it), or record into another folder"
+        )
+    return planned, text
+
+
+def _moved_so_far(recording: Recording, table: RigTable) -> MotionTally:
+    """What the session has seen of its joints' motion."""
+    from station.enough_motion import MotionTally, sides_of
+
+    tally, log, measured = MotionTally(table.limits(), sides_of(table)), recording.observations, recording.measured
+    if not len(measured.t_s):
+        return tally
+    part_of = {marker.id: marker.part for marker in table.marker_table().markers}
+    q = np.column_stack([np.interp(log.t_s, measured.t_s, states) for states in measured.q.T])
+    starts = np.searchsorted(log.frame, np.arange(len(log.t_s) + 1))
+    looked_s = -np.inf
+    for row, t_s in enumerate(log.t_s):  # as seldom as the capture itself counts
+        if t_s - looked_s >= MOTION_EVERY_S:
+            looked_s = t_s
+            seen = log.marker_id[starts[row] : starts[row + 1]].tolist()
+            tally.add(q[row], {part_of[marker] for marker in seen if marker in part_of})
+    return tally
 
 
 def _leg_to_go_on_from(session: Path, planned: Plan, reached: Checkpoint | None) -> int:
@@ -189,6 +260,7 @@ def capture_by_hand(
 
     rig_file = load_rig(rig)
     check_output_folder(out, force=settings.get("force", False))
+    _check_frames(settings)
     table, by_hand = rig_file.table, None
     if table.simulation is not None and (settings.get("simulate") or table.camera.source == RENDERED):
         by_hand = hand_motion(table.limits() or free_joints(table.simulation.units()), duration_s)
@@ -199,7 +271,14 @@ def capture_by_hand(
             _writer(rig_file, opened, None, out, settings) as writer,
             _live_view(opened, writer, out, settings) as live,
         ):
-            return HandCapture(opened, writer, duration_s=duration_s, live=live, **_wishes(settings)).run()
+            return HandCapture(opened, writer, duration_s=duration_s, live=live, **_wishes(rig_file, settings)).run()
+
+
+def _check_frames(settings: CaptureSettings) -> None:
+    """Raise StationError unless frames can be kept as wanted, before anything is made."""
+    from station.recording.lossless import check_kind
+
+    check_kind(settings.get("frames", "jpeg"))
 
 
 def _opened(
@@ -222,12 +301,16 @@ class _Wishes(TypedDict):
     watch: Watcher | None
 
 
-def _wishes(settings: CaptureSettings) -> _Wishes:
+def _wishes(rig_file: RigFile, settings: CaptureSettings) -> _Wishes:
     """Those of the settings that are for the capture itself."""
+    from station.recording.sizes import expected_rates
+
+    bytes_per_s = expected_rates(rig_file.table, settings.get("frames", "jpeg")).bytes_per_s
+    watch = settings.get("watch")
     return {
         "progress": settings.get("progress"),
         "control": settings.get("control"),
-        "watch": settings.get("watch"),
+        "watch": None if watch is None else lambda shot: watch(replace(shot, bytes_per_s=bytes_per_s)),
     }
 
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from station.commands.planning import planned_motion
+from station.commands.planning import planned_motion, room_remarks
 from station.errors import StationError
 from station.foresight.detector import HIDDEN, SMEARED
 from station.foresight.forecast import Forecast, foresee, frame_times_s
@@ -46,13 +46,23 @@ class Outlook:
     notes: tuple[str, ...]
 
 
-def foresee_motion(rig: str, motion: str, *, tree: Path | None = None, simulate: bool = False) -> Outlook:
+def foresee_motion(
+    rig: str,
+    motion: str,
+    *,
+    tree: Path | None = None,
+    simulate: bool = False,
+    folder: Path | None = None,
+    frames: str = "jpeg",
+) -> Outlook:
     """Lay out a motion on a rig, check all of it, and foresee what the camera will see; opens no device.
 
     Args:
         rig, motion: names of packaged ones, or paths.
         tree: a fitted session whose mechanism, markers and camera are taken, in place of the rig's [simulation].
         simulate: as for a capture.
+        folder: where it would be recorded, to see whether there is room; the current one if None.
+        frames: how images would be kept, as for a capture.
 
     Raises:
         StationError: a bad rig or motion, one that goes over a limit, a session that isn't fitted.
@@ -62,13 +72,15 @@ def foresee_motion(rig: str, motion: str, *, tree: Path | None = None, simulate:
     rig_file = load_rig(rig)
     check_simulated(rig_file, simulate)
     plan = planned_motion(rig_file, motion)[0]
-    dictionary = rig_file.table.markers.dictionary
+    dictionary, room = rig_file.table.markers.dictionary, room_remarks(rig_file, plan, folder or Path.cwd(), frames)
     scene, lacking = _scene(rig_file, tree, simulate=simulate)
     if scene is None or not scene.mounts:
-        return Outlook(plan, dictionary, None, (), (), (*lacking, *(scene.notes if scene else ())))
+        notes = (*lacking, *(scene.notes if scene else ()))
+        return Outlook(plan, dictionary, None, (), room, notes)
     forecast = foresee(plan, scene, frame_times_s(plan.duration_s, rig_file.table.camera.fps))
     joints = joint_outlooks(forecast)
-    return Outlook(plan, dictionary, forecast, joints, forecast_remarks(forecast, joints), scene.notes)
+    warnings = (*forecast_remarks(forecast, joints), *room)
+    return Outlook(plan, dictionary, forecast, joints, warnings, scene.notes)
 
 
 def _scene(rig: RigFile, tree: Path | None, *, simulate: bool) -> tuple[Scene | None, tuple[str, ...]]:

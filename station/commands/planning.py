@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from station.motion import Plan, plan_motion, told_legs
@@ -52,3 +53,11 @@ def planned_motion(rig: RigFile, motion: str) -> tuple[Plan, str]:
     joints = rig.table.limits()
     read, text = read_motion(motion, joints)
     return plan_motion(read, joints), text
+
+
+def room_remarks(rig: RigFile, planned: Plan, folder: Path, frames: str) -> tuple[str, ...]:
+    """What to warn of where the folder's disk has no room for the motion; `frames` as for a capture."""
+    from station.recording.sizes import expected_rates, room_warning
+
+    warning = room_warning(folder, expected_rates(rig.table, frames), planned.duration_s)
+    return () if warning is None else (warning,)

@@ -16,7 +16,7 @@ from drivers.errors import CameraError
 from drivers.serial_ports import DEFAULT_LATENCY_MS, User, read_latency_ms
 from station.doctor import camera as cameras
 from station.doctor.bus import BusReport, Wire, examine_bus
-from station.doctor.disk import BYTES_PER_PX, check_disk
+from station.doctor.disk import check_disk
 from station.doctor.finding import Finding, Verdict, blocks
 from station.doctor.fixes import Change, check_fixes
 from station.doctor.port import System, check_port
@@ -26,7 +26,8 @@ from station.formats.rig import EMULATED, RENDERED, RigTable, load_calibration
 from station.formats.simulation import SimulationTable
 from station.hand_motion import HandMovedObject
 from station.perception.jpeg import encode_jpeg
-from station.rig import frame_size, real_camera, rendered_camera, virtual_reply_timeout_s
+from station.recording.sizes import expected_rates
+from station.rig import real_camera, rendered_camera, virtual_reply_timeout_s
 from station.rig_reading import read_rig
 from station.stage import Stage
 
@@ -90,9 +91,9 @@ def examine(
         watched = bench.watch(calibration)
     findings += watched.findings
     folder = folder or Path.cwd()
-    width, height = frame_size(table)
-    frame_bytes = BYTES_PER_PX * width * height if watched.image is None else len(encode_jpeg(watched.image))
-    findings.append(check_disk(folder, shutil.disk_usage(folder).free, frame_bytes, table.camera.fps))
+    frame_bytes = None if watched.image is None else len(encode_jpeg(watched.image))
+    rates = expected_rates(table, frame_bytes=frame_bytes)
+    findings.append(check_disk(folder, shutil.disk_usage(folder).free, rates))
     order = ("port", "servos", "servo", "joint", "camera", "calibration", "disk")
     findings.sort(key=lambda finding: order.index(finding.where.split()[0]))
     return Checkup(str(path), tuple(findings), tuple(report.changes))

@@ -5,21 +5,17 @@ from __future__ import annotations
 from pathlib import Path
 
 from station.doctor.finding import Finding, Verdict
+from station.recording.sizes import ExpectedRates
 
 WHERE = "disk"
 MB = 1e6
 # A session should leave room for some more; under a minute there is none for one.
 COMFORTABLE_MIN, LEAST_MIN = 10.0, 1.0
-# Bytes of a frame a pixel, where no frame could be had to measure: the demo's frames take 0.13 at the recording's JPEG
-# quality; a room with more in it is taken to need twice as much and more (not measured).
-BYTES_PER_PX = 0.3
-# Joint states, marker observations and poses: the demo's recording (39.2 MB in 29.6 s) without its frames.
-OTHER_BYTES_PER_S = 150e3
 
 
-def check_disk(folder: Path, free_bytes: int, frame_bytes: float, fps: float) -> Finding:
+def check_disk(folder: Path, free_bytes: int, rates: ExpectedRates) -> Finding:
     """Whether some minutes of capture fit on the disk of `folder`."""
-    minute_bytes = 60 * (frame_bytes * fps + OTHER_BYTES_PER_S)
+    minute_bytes = 60 * rates.bytes_per_s
     minutes = free_bytes / minute_bytes
     found = f"{_size(free_bytes)} free, a minute takes about {_size(minute_bytes)}"
     if minutes < LEAST_MIN:

@@ -32,7 +32,6 @@ from station.recording.layout import (
     LIVE_IMAGE_FRAME,
     MEASURED,
     OVERLAY,
-    TRANSFORMS,
 )
 from station.recording.rrd_stream import forget_ended_streams, open_stream
 from station.session import SessionDescription
@@ -109,8 +108,7 @@ class LiveStream:
         check_live_port(port)
         self._start_ns = start_ns
         self._markers = parse_markers(about.markers, "markers.toml")
-        self._shapes = scene.marker_shapes(self._markers)
-        self._shown: set[int] = set()
+        self._in_view = scene.MarkersInView(self._markers)
         self._camera = parse_camera(about.camera, "camera.toml")
         self._scale = scale_of(self._camera.size_px[0])
         self._stream = open_stream(recording_id, BATCH_S)
@@ -132,8 +130,8 @@ class LiveStream:
         scaled = rr.Transform3D(scale=self._scale, parent_frame=IMAGE_FRAME, child_frame=LIVE_IMAGE_FRAME)
         self._stream.log(LIVE_IMAGE, scaled, rr.CoordinateFrame(LIVE_IMAGE_FRAME), static=True)
         self._stream.set_time(ELAPSED, duration=np.timedelta64(0, "ns"))
-        for n in self._shapes:  # as in the file: the viewer reports a frame without a pose as an error
-            self._stream.log(TRANSFORMS, scene.marker_pose(n, np.eye(4)))
+        for entity, values in self._in_view.begin():
+            self._stream.log(entity, *values)
         if about.joints:
             self._stream.log(COMMANDED, scene.commanded_series(about.joints, about.units), static=True)
             self._stream.log(MEASURED, scene.measured_series(about.joints, about.units), static=True)
@@ -147,18 +145,8 @@ class LiveStream:
         self._stream.set_time(FRAME, sequence=index)
         self._stream.log(LIVE_IMAGE, rr.EncodedImage(contents=encode_jpeg(image), media_type="image/jpeg"))
         self._stream.log(OVERLAY, *scene.outlines(self._markers, markers))
-        self._show_poses(markers)
-
-    def _show_poses(self, markers: FrameMarkers) -> None:
-        poses = zip(markers.marker_id.tolist(), markers.T_cam_marker[:, 0], strict=True)
-        seen = {n: T for n, T in poses if n in self._shapes and np.isfinite(T).all()}
-        for n in self._shown - seen.keys():
-            self._stream.log(scene.marker_entity(n), rr.Clear(recursive=False))
-        for n in seen.keys() - self._shown:
-            self._stream.log(scene.marker_entity(n), *self._shapes[n])
-        for n, T in seen.items():
-            self._stream.log(TRANSFORMS, scene.marker_pose(n, T))
-        self._shown = set(seen)
+        for entity, values in self._in_view.show(markers):
+            self._stream.log(entity, *values)
 
     def show_readings(self, t_ns: NDArray[np.int64], q: FloatArray, goal: FloatArray) -> None:
         """Show N readings (N,), (N, J), (N, J) in rad or m; a goal is NaN where there is none."""

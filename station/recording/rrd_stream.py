@@ -89,7 +89,7 @@ def forget_ended_streams() -> None:
 
 
 class RrdStream:
-    """Writes one .rrd. May be called from several threads.
+    """Writes one .rrd, or several one after another. May be called from several threads.
 
     Threads of its own hand what was logged to the operating system twice a second, so that a kill loses less than a
     second also when nothing more is logged, and have the disk keep it every five. What fails is fatal, since rerun
@@ -149,6 +149,23 @@ class RrdStream:
             self._stream.set_time(FRAME, sequence=int(frame))
         self._stream.log(entity, *values)
 
+    def go_on_in(self, path: Path, blueprint: Blueprint | None = None) -> None:
+        """Finish the file, with its index, and write what is logged from now on into another one.
+
+        rerun keeps a file's index in memory until the file is finished: some 3 MB a minute of a capture.
+        """
+        self.flush()
+        with self._flushing:
+            before = self._path
+            try:
+                with written(path):
+                    self._stream.set_sinks(rr.FileSink(path), default_blueprint=blueprint)
+                    self._path, self._identity = path, _identity(path)
+                    _sync(before)
+            except StationError as error:
+                self._failure = error
+                raise
+
     def check(self) -> None:
         """Raise what failed, if anything did."""
         if self._failure is not None:
@@ -171,8 +188,8 @@ class RrdStream:
         """Have the disk keep what the file has; raises StationError if it can't."""
         self.check()
         try:
-            with written(self._path), self._path.open("rb") as file:
-                os.fsync(file.fileno())
+            with written(self._path):
+                _sync(self._path)
         except StationError as error:
             self._failure = error
             raise
@@ -207,6 +224,11 @@ class RrdStream:
                 act()
             except StationError:
                 return  # kept; whoever logs next is told
+
+
+def _sync(path: Path) -> None:
+    with path.open("rb") as file:
+        os.fsync(file.fileno())
 
 
 def _identity(path: Path) -> tuple[int, int]:

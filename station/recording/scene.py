@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from itertools import cycle, islice
 from typing import Literal
 
@@ -20,6 +20,7 @@ from station.recording.layout import (
     MARKERS,
     OVERLAY,
     SERVO_QUANTITIES,
+    TRANSFORMS,
     marker_frame,
 )
 
@@ -118,7 +119,32 @@ def log_camera(stream: rr.RecordingStream, camera: CameraModel) -> None:
     stream.log(OVERLAY, rr.CoordinateFrame(IMAGE_FRAME), static=True)
 
 
-def marker_shapes(table: MarkerTable) -> dict[int, list[rr.AsComponents]]:
+class MarkersInView:
+    """What is drawn of the table's markers in space: those that are seen are where they are, the others disappear."""
+
+    def __init__(self, table: MarkerTable) -> None:
+        self._shapes = _marker_shapes(table)
+        self._shown: set[int] = set()
+
+    def begin(self) -> Iterator[tuple[str, list[rr.AsComponents]]]:
+        """What to log before the first frame, by entity: the viewer reports a frame without a pose as an error."""
+        for n in self._shapes:
+            yield TRANSFORMS, [_marker_pose(n, np.eye(4))]
+
+    def show(self, markers: FrameMarkers) -> Iterator[tuple[str, list[rr.AsComponents]]]:
+        """What to log of one frame, by entity; a row of the transforms is the pose of one child frame."""
+        poses = zip(markers.marker_id.tolist(), markers.T_cam_marker[:, 0], strict=True)
+        seen = {n: T for n, T in poses if n in self._shapes and np.isfinite(T).all()}
+        for n in self._shown - seen.keys():
+            yield _marker_entity(n), [rr.Clear(recursive=False)]
+        for n in seen.keys() - self._shown:
+            yield _marker_entity(n), self._shapes[n]
+        for n, T in seen.items():
+            yield TRANSFORMS, [_marker_pose(n, T)]
+        self._shown = set(seen)
+
+
+def _marker_shapes(table: MarkerTable) -> dict[int, list[rr.AsComponents]]:
     """What is drawn of each of the table's markers, in its frame: the square in its part's colour, and its axes."""
     colour = _part_colours(table)
     return {marker.id: _marker_shape(marker, colour[marker.part]) for marker in table.markers}
@@ -135,7 +161,7 @@ def _marker_shape(marker: Marker, colour: Colour) -> list[rr.AsComponents]:
     return [square, rr.Arrows3D(vectors=np.eye(3) * half, colors=AXIS_COLOURS)]
 
 
-def marker_entity(marker_id: int) -> str:
+def _marker_entity(marker_id: int) -> str:
     """The entity of what is drawn of a marker."""
     return f"{MARKERS}/{marker_frame(marker_id)}"
 
@@ -143,10 +169,10 @@ def marker_entity(marker_id: int) -> str:
 def log_marker_frames(stream: rr.RecordingStream, table: MarkerTable) -> None:
     """Put what is drawn of each marker in the marker's frame."""
     for marker in table.markers:
-        stream.log(marker_entity(marker.id), rr.CoordinateFrame(marker_frame(marker.id)), static=True)
+        stream.log(_marker_entity(marker.id), rr.CoordinateFrame(marker_frame(marker.id)), static=True)
 
 
-def marker_pose(marker_id: int, T_cam_marker: FloatArray) -> rr.Transform3D:
+def _marker_pose(marker_id: int, T_cam_marker: FloatArray) -> rr.Transform3D:
     """The pose (4, 4) of one marker's frame."""
     return rr.Transform3D(
         translation=T_cam_marker[:3, 3],

@@ -36,7 +36,6 @@ from station.recording.layout import (
     SERVO_ID,
     SERVO_QUANTITIES,
     SERVOS,
-    TRANSFORMS,
 )
 from station.recording.rrd_stream import RrdStream
 from station.session import SESSION_SCHEMA, SessionDescription
@@ -58,8 +57,7 @@ class SessionRows:
         self._about = about
         self._camera = parse_camera(about.camera, "camera.toml")
         self._markers = parse_markers(about.markers, "markers.toml")
-        self._shapes = scene.marker_shapes(self._markers)
-        self._shown: set[int] = set()
+        self._in_view = scene.MarkersInView(self._markers)
         self._servo_ids: tuple[int, ...] = ()
 
     def begin(self, stream: RrdStream, start_ns: int, shift_ns: int, first_frame: int) -> None:
@@ -82,8 +80,8 @@ class SessionRows:
         raw = self._stream.raw
         scene.log_camera(raw, self._camera)
         scene.log_marker_frames(raw, self._markers)
-        for n in self._shapes:  # the viewer reports a frame without a pose as an error, though nothing is drawn in it
-            self._log(self._start_ns - self._shift_ns, TRANSFORMS, scene.marker_pose(n, np.eye(4)), frame=0)
+        for entity, values in self._in_view.begin():
+            self._log(self._start_ns - self._shift_ns, entity, *values, frame=0)
         joints, units = self._about.joints, self._about.units
         if joints:
             raw.log(COMMANDED, scene.commanded_series(joints, units), static=True)
@@ -137,23 +135,11 @@ class SessionRows:
             jpeg = rr.EncodedImage(contents=_encoded(image), media_type="image/jpeg")
             self._log(t_ns, IMAGE, jpeg, frame=number)
         self._log(t_ns, OVERLAY, *scene.outlines(self._markers, markers), frame=number)
-        self._poses(t_ns, number, dict(zip(markers.marker_id.tolist(), markers.T_cam_marker[:, 0], strict=True)))
+        for entity, values in self._in_view.show(markers):
+            self._log(t_ns, entity, *values, frame=number)
 
     def _log(self, t_ns: int, entity: str, *values: rr.AsComponents, frame: int | None = None) -> None:
         self._stream.log(t_ns, entity, *values, frame=frame)
-
-    def _poses(self, t_ns: int, index: int, T_cam_marker: Mapping[int, FloatArray]) -> None:
-        """Show the table's markers where they are; those that are no longer seen disappear."""
-        known = self._shapes.keys()
-        seen = {n: T for n, T in T_cam_marker.items() if n in known and np.isfinite(T).all()}
-        for n in self._shown - seen.keys():
-            self._log(t_ns, scene.marker_entity(n), rr.Clear(recursive=False), frame=index)
-        for n in seen.keys() - self._shown:
-            self._log(t_ns, scene.marker_entity(n), *self._shapes[n], frame=index)
-        # A call a marker: a row of this entity is the pose of one child frame.
-        for n, T in seen.items():
-            self._log(t_ns, TRANSFORMS, scene.marker_pose(n, T), frame=index)
-        self._shown = set(seen)
 
 
 def _integer(value: int) -> pa.Array:

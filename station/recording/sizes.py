@@ -6,6 +6,8 @@ import shutil
 from dataclasses import dataclass
 from pathlib import Path
 
+from station.formats.rig import RigTable
+
 # Measured (tests/benchmarks/read_back.py --sizes) on numbers without any pattern, which can't be compressed, flushed
 # twice a second: bytes of a frame beside its image, of each of its markers, of a turn of the servo loop with command
 # and reading, of each of its joints, of a row of servo states, of each of its servos.
@@ -27,7 +29,7 @@ class ExpectedRates:
         image_bytes: of a frame's image, as it is kept.
         markers: seen in a frame.
         joints: commanded and read `rate_hz` times.
-        servos: whose states are kept as often.
+        servos: whose states are kept `states_hz` times.
     """
 
     fps: float
@@ -36,6 +38,7 @@ class ExpectedRates:
     joints: int
     servos: int
     rate_hz: float = 50.0
+    states_hz: float = 2.0
 
     @property
     def bytes_per_s(self) -> float:
@@ -43,12 +46,29 @@ class ExpectedRates:
         frame = FRAME_BYTES + MARKER_BYTES * self.markers + self.image_bytes
         turn = TURN_BYTES + JOINT_BYTES * self.joints if self.joints else 0.0
         states = SERVOS_BYTES + SERVO_BYTES * self.servos if self.servos else 0.0
-        return self.fps * frame + self.rate_hz * (turn + states)
+        return self.fps * frame + self.rate_hz * turn + self.states_hz * states
 
     @property
     def bytes_per_hour(self) -> float:
         """How much an hour takes; a recording that is joined or repaired has as much beside it for that time."""
         return HOUR_S * self.bytes_per_s
+
+
+def expected_rates(table: RigTable, frames: str = "jpeg", frame_bytes: float | None = None) -> ExpectedRates:
+    """What a capture on this rig records in a second, with all of its markers seen: the most that it can be.
+
+    Args:
+        frames: how images are kept.
+        frame_bytes: of an image, where it was measured.
+    """
+    width, height = table.camera.size_px
+    return ExpectedRates(
+        fps=table.camera.fps,
+        image_bytes=image_bytes((width, height), frames) if frame_bytes is None else frame_bytes,
+        markers=len(table.marker_table().markers),
+        joints=len(table.joint),
+        servos=sum(len(joint.servo) for joint in table.joint),
+    )
 
 
 def image_bytes(size_px: tuple[int, int], frames: str = "jpeg") -> float:

@@ -6,6 +6,8 @@ gone on with.
 
 from __future__ import annotations
 
+import threading
+import time
 import uuid
 from collections import Counter
 from collections.abc import Mapping
@@ -31,6 +33,7 @@ from station.recording.rrd_stream import FLUSH_TIMEOUT_S, RrdStream, check_rerun
 from station.recording.session_rows import SessionRows
 from station.session import (
     MOTION_FILE,
+    NEXT_MOTION_FILE,
     RIG_FILE,
     STATUS_FILE,
     Checkpoint,
@@ -41,9 +44,12 @@ from station.session import (
     drop_reserve,
     frames_file,
     lossless_files,
+    motion_sha256,
     piece_file,
     recording_pieces,
     reserve_status,
+    stage_motion,
+    take_staged_motion,
     write_status,
 )
 
@@ -52,6 +58,8 @@ if TYPE_CHECKING:
 
 NS_PER_S = 1e9
 COUNTED = ("frames", "commands", "readings", "events")
+# A file's index is in memory until the file is finished: a capture goes on in another one each so many seconds.
+PIECE_S = 120.0
 # Of these those that are rows of the recording; commands are counted by who sends them, if anybody does.
 ROWS = ("frames", "readings", "events")
 
@@ -90,7 +98,9 @@ class RecordingWriter:
         earlier: Earlier | None = None,
     ) -> None:
         self._folder, self._about, self._earlier = folder, description, earlier
-        self._path = folder / piece_file(earlier.piece if earlier else 0)
+        self._first_piece = self._piece = earlier.piece if earlier else 0
+        self._blueprint = blueprint
+        self._turning = threading.Lock()
         self._start_ns = start_ns
         self._counts: Counter[str] = Counter(dict.fromkeys(COUNTED, 0))
         self._last_frame_ns: int | None = None
@@ -105,7 +115,7 @@ class RecordingWriter:
         try:
             self._status = self._gone_on(earlier) if earlier else self._begun(force)
             self._write_status()
-            self._open(blueprint)
+            self._open()
         except BaseException:
             self._lock.release()
             raise
@@ -128,7 +138,7 @@ class RecordingWriter:
             now_ns: what this program's clock says now.
             since_last_s: how long ago the last row was recorded; by the wall clock if None. The session's clock goes on
                 by that, and never backwards.
-            frames: how images are kept; without loss if None and if they were, else as JPEG.
+            frames: how images are kept; as they were if None.
 
         Raises:
             SessionBusy: another program records into the folder.
@@ -141,7 +151,7 @@ class RecordingWriter:
             earlier.description,
             start_ns=now_ns - round(earlier.elapsed_s * NS_PER_S),
             blueprint=blueprint,
-            frames=frames or ("ffv1" if lossless_files(folder) else "jpeg"),
+            frames=frames or earlier.status.images or ("ffv1" if lossless_files(folder) else "jpeg"),
             earlier=earlier,
         )
 
@@ -221,17 +231,28 @@ class RecordingWriter:
         if not self._closed:
             self._stream.flush(timeout_s)
 
-    def checkpoint(self, leg: int, legs: int, counts: Mapping[str, int] | None = None) -> None:
+    def checkpoint(
+        self, leg: int, legs: int, counts: Mapping[str, int] | None = None, motion: str | None = None
+    ) -> None:
         """Leg number `leg` (from 0) of `legs` begins: what was logged before is safe, and session.json says how far.
 
         Args:
             counts: so far, to add to those that are kept here: what a kill leaves of them in session.json.
+            motion: the session's motion.toml from this leg on; after a kill it is the one that session.json means.
         """
         self._check_open()
+        if motion is not None:
+            with written(self._folder / NEXT_MOTION_FILE):
+                stage_motion(self._folder, motion)
         self._stream.flush()
         self._stream.sync()
         self._status = replace(self._status, progress=Checkpoint(leg, legs), counts=self._total(counts))
+        if motion is not None:
+            self._status = replace(self._status, motion_sha256=motion_sha256(motion))
         self._write_status()
+        if motion is not None:
+            with written(self._folder / MOTION_FILE):
+                take_staged_motion(self._folder)
 
     def close(self, state: str, counts: Mapping[str, int] | None = None) -> None:
         """Finish the file and session.json, with a state, "complete" or "interrupted", and counts to add; once.
@@ -280,15 +301,17 @@ class RecordingWriter:
             seed=self._about.seed,
             versions=self._about.versions,
             starts=(SessionStart(self._about.started, 0.0),),
+            images=self._frames,
         )
 
     def _gone_on(self, earlier: Earlier) -> SessionStatus:
         now = SessionStart(datetime.now(UTC), earlier.elapsed_s)
         return replace(earlier.status, state="recording", ended=None, starts=(*earlier.status.starts, now))
 
-    def _open(self, blueprint: Blueprint | None) -> None:
+    def _open(self) -> None:
         earlier = self._earlier
-        self._stream = RrdStream(self._path, self.recording_id, self._start_ns, blueprint=blueprint)
+        self._piece_ends_s = time.monotonic() + PIECE_S
+        self._stream = RrdStream(self._path, self.recording_id, self._start_ns, blueprint=self._blueprint)
         try:
             session_ns = earlier.start_ns if earlier else self._start_ns
             self._rows.begin(
@@ -328,7 +351,7 @@ class RecordingWriter:
         from station.perception.jpeg import decode_jpeg
 
         if self._video is None:
-            self._video = LosslessFrames(self._folder / frames_file(self._earlier.piece if self._earlier else 0))
+            self._video = LosslessFrames(self._folder / frames_file(self._first_piece))
         self._video.write(elapsed_ns, decode_jpeg(image) if isinstance(image, bytes) else image)
 
     def _leave(self, failure: StationError | None) -> None:
@@ -340,7 +363,7 @@ class RecordingWriter:
         drop_reserve(self._folder)
         if failure is not None:
             raise failure
-        if self._earlier:
+        if self._piece:
             with suppress(OSError, StationError):  # whoever opens it next tries again, and is told
                 join_pieces(self._folder)
 
@@ -359,3 +382,18 @@ class RecordingWriter:
     def _check_open(self) -> None:
         if self._closed:
             raise StationError(f"{self._path} is closed; nothing more is logged")
+        if time.monotonic() > self._piece_ends_s and self._turning.acquire(blocking=False):
+            try:
+                self._turn_over()
+            finally:
+                self._turning.release()
+
+    @property
+    def _path(self) -> Path:
+        return self._folder / piece_file(self._piece)
+
+    def _turn_over(self) -> None:
+        """Go on in a further piece; `close` joins them."""
+        self._piece += 1
+        self._piece_ends_s = time.monotonic() + PIECE_S
+        self._stream.go_on_in(self._path, self._blueprint)

@@ -35,7 +35,7 @@ def test_a_recording_takes_what_was_foretold(tmp_path: Path, count: int) -> None
                 writer.flush()
         writer.close("complete")
     taken = (tmp_path / "s" / "recording.rrd").stat().st_size - empty
-    foretold = SECONDS * ExpectedRates(FRAMES_PER_S, 5000, count, 3, 3).bytes_per_s
+    foretold = SECONDS * ExpectedRates(FRAMES_PER_S, 5000, count, 3, 3, states_hz=TURNS_PER_S).bytes_per_s
     # A fifth: fps, joints and markers come in other proportions than where the figures were measured.
     assert taken == pytest.approx(foretold, rel=0.2)
 
