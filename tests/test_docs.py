@@ -17,8 +17,11 @@ from drivers.emulator import parse_fault
 from drivers.emulator.faults import KINDS, REPLY_KINDS
 from station import cli
 from station.formats.camera import parse_camera
-from station.formats.motion import parse_motion
+from station.formats.motion import MotionModel, StepModel, parse_motion
+from station.formats.motion_kinds import CombinedModel, ExploreModel, ReplayModel, SinusoidsModel, WaveModel
 from station.formats.rig import parse_rig
+from station.logs import JointLog
+from station.motion import JointLimits, plan_motion
 
 ROOT = Path(__file__).parent.parent
 DOCUMENTS = (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))
@@ -32,6 +35,19 @@ def test_the_examples_of_rig_motion_and_camera_are_read():
     table = parse_rig(rig, "rig.md")
     assert parse_camera(camera, "rig.md").size_px == tuple(table.camera.size_px)
     assert parse_motion(motion, "rig.md", table.limits()).steps[0].repeat == 2
+
+
+def test_the_example_of_motions_is_read_and_has_every_key():
+    (text,) = re.findall(r"```toml\n(.*?)```", (ROOT / "docs" / "motions.md").read_text("utf-8"), re.DOTALL)
+    joints = [JointLimits(name, -1.0, 1.0, 1.0) for name in ("shoulder", "elbow")]
+    joints.append(JointLimits("lift", 0.0, 0.3, 0.1, park=0.1, unit="m"))
+    t_s = np.arange(50) * 0.1
+    by_hand = JointLog(t_s, ("elbow",), 0.1 * np.cos(t_s)[:, None], ("rad",))
+    motion = parse_motion(text, "motions.md", joints, lambda file: {"by_hand": by_hand}[file])
+    assert plan_motion(motion, joints).duration_s > 100
+    models = (StepModel, MotionModel, CombinedModel, ExploreModel, SinusoidsModel, WaveModel, ReplayModel)
+    keys = {key for model in models for key in model.model_fields}
+    assert keys <= set(re.findall(r"[a-z_]+", text))
 
 
 def test_the_readme_names_the_commands_that_there_are():

@@ -13,7 +13,8 @@ from station.logs import FloatArray
 Unit = Literal["rad", "m"]
 # Rounding of degrees to radians and back must not refuse a target that equals its limit.
 LIMIT_SLACK = 1e-9
-# rad/s, m/s. Without a speed a joint goes no faster, or the camera loses markers: docs/motions.md has the measurement.
+# rad/s, m/s. Without a speed a joint goes no faster: on the packaged rigs no marker then smears over more than the 4 px
+# within 8 ms up to which all are found (docs/motions.md, How fast). That of prismatic joints is an estimate.
 SLOW: Mapping[Unit, float] = {"rad": float(np.radians(20.0)), "m": 0.1}
 
 

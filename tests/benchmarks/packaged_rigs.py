@@ -8,6 +8,7 @@ from __future__ import annotations
 import argparse
 import tempfile
 import time
+from collections.abc import Collection
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -32,19 +33,31 @@ class RigRun:
     wall_s: float
 
 
-def arm_found(tree: KinematicTree, rig: RigTable) -> bool:
-    """Whether the tree is what the rig draws: its root, a body's markers together, its joints between seen bodies."""
+def arm_found(tree: KinematicTree, rig: RigTable, still: Collection[str] = ()) -> bool:
+    """Whether the tree is what the rig draws: its root, a body's markers together, its joints between seen bodies.
+
+    Bodies between which there are only `still` joints, which nothing moved, are one.
+    """
     simulation = rig.simulation
     if simulation is None:
         return False
     part_of = {marker.id: marker.part for marker in rig.marker_table().markers}
+    carrier = {joint.child: joint.parent for joint in simulation.joint if joint.name in still}
+
+    def carried_by(body: str) -> str:
+        return carried_by(carrier[body]) if body in carrier else body
+
     parts: dict[str, set[str]] = {}
     for plate in simulation.plate:
-        parts.setdefault(plate.body, set()).add(part_of[plate.id])
+        parts.setdefault(carried_by(plate.body), set()).add(part_of[plate.id])
     body_of = {part: body for body, together in parts.items() for part in together}
     groups = {frozenset(group) for group in tree.rigid_groups}
     found = {(joint.name, joint.type, body_of[joint.parent], body_of[joint.child]) for joint in tree.joints}
-    drawn = {(joint.name, "revolute", joint.parent, joint.child) for joint in simulation.joint if joint.child in parts}
+    drawn = {
+        (joint.name, "revolute", carried_by(joint.parent), joint.child)
+        for joint in simulation.joint
+        if joint.child in parts and joint.name not in still
+    }
     return (
         body_of[tree.root] == simulation.root
         and groups == {frozenset(together) for together in parts.values()}
