@@ -96,3 +96,13 @@ def test_angles_are_in_degrees_and_slides_in_millimetres():
 @pytest.mark.parametrize(("seconds", "told"), [(0, "0:00"), (65.9, "1:05"), (7207, "2:00:07"), (-1, "0:00")])
 def test_times_are_told_in_minutes(seconds: float, told: str):
     assert duration(seconds) == told
+
+
+def test_what_is_warm_is_yellow_and_what_is_hot_is_red():
+    def styles(**changes: object) -> set[str]:
+        lines = Dashboard(snapshot(joints=(joint(motion_share=None, **changes),))).lines(80)
+        return {str(span.style) for line in lines if "joint_0" in line.plain for span in line.spans}
+
+    assert not styles(temperature_c=59.0, load=-0.69) & {"yellow", "bold red"}
+    assert "yellow" in styles(temperature_c=60.0, load=0.0) and "yellow" in styles(load=-0.7)
+    assert "bold red" in styles(temperature_c=70.0, load=0.0) and "bold red" in styles(load=-0.9)

@@ -279,6 +279,8 @@ def test_by_hand_a_bus_that_goes_away_in_a_pause_is_waited_for(by_hand: Callable
 
     HandCapture(bench.rig, cast(Any, writer), duration_s=3.0, progress=progress, control=control, watch=watch).run()
     assert writer.state == "complete" and writer.counts["reconnects"] == 1 and writer.counts["pauses"] == 1
+    t_s = np.array(writer.frames)[:, 1] * 1e-9
+    assert not np.any((t_s > writer.at_s("state: paused") + 0.1) & (t_s < writer.at_s("paused for")))
     assert not any(bench.each("torque_enable"))
 
 
@@ -352,3 +354,19 @@ def test_a_frame_that_was_taken_before_the_motion_is_not_recorded_however_late_i
         writer = with_frames(bench, LateCamera(bench.rig.clock))
         capture(bench)
         assert writer.frames[0][1] * 1e-9 >= writer.at_s("starts: ")
+
+
+@pytest.mark.parametrize("hand", [False, True], ids=["planned", "by hand"])
+def test_a_capture_that_fails_as_it_begins_says_so_and_how_the_arm_was_left(tmp_path: Path, hand: bool) -> None:
+    class Untellable(GreyCamera):
+        settings: Any = MappingProxyType({"exposure": object()})
+
+    with lab(tmp_path, "demo", QUIET) as bench:
+        writer = with_frames(bench, Untellable(bench.rig.clock))
+        with pytest.raises(TypeError, match="JSON"):
+            if hand:
+                HandCapture(bench.rig, cast(Any, writer), duration_s=1.0).run()
+            else:
+                capture(bench)
+        assert "INFO state: fault" in writer.events and writer.events[-1].startswith("INFO arm left: ")
+        assert writer.state == "interrupted"

@@ -14,7 +14,7 @@ def test_a_label_is_not_read_with_what_was_written_before():
     canvas = FigureCanvasAgg(figure)
     axes = figure.add_axes((0, 0, 1, 1))
     scale = axes.text(0.5, 0.5, "100 mm", fontsize=FONT_PT, ha="center", va="center")
-    place_labels(axes, [(np.array([0.5, 0.54]), "base", "black")], [])
+    place_labels(axes, [(np.array([0.5, 0.398]), "base", "black")], [])
     canvas.draw()
     written = np.array(scale.get_window_extent(canvas.get_renderer()).extents)
     label = np.array(axes.texts[-1].get_window_extent(canvas.get_renderer()).extents)

@@ -20,6 +20,7 @@ from station.capture.service import Capture
 from station.capture.worker import Worker
 from station.commands import planning
 from station.perception.marker_tracker import MarkerTracker
+from station.recording.rrd_stream import FLUSH_PERIOD_S
 from tests.test_capture import demo_rig
 from tests.test_ends_of_captures import QUIET, FramesToo, GreyCamera, with_frames
 from tests.test_safe_states import lab
@@ -157,3 +158,17 @@ def test_a_checkpoint_is_kept_only_when_the_frames_before_it_are(
     frames = [(n, t_ns) for n, (what, t_ns) in enumerate(order) if what == "frame"]
     assert all((n < at) == (t_ns < begins_ns) for n, t_ns in frames if abs(t_ns - begins_ns) > 1e6)
     assert sum(n < at for n, _ in frames) > 200
+
+
+def test_what_waits_before_the_disk_is_less_than_the_second_that_a_kill_may_cost() -> None:
+    """At 30 frames/s, with the recorder's queue full just before the next flush."""
+    assert FRAMES_WAITING / 30.0 + FLUSH_PERIOD_S < 1.0
+
+
+def test_a_reading_that_the_recorder_has_no_place_for_is_counted(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("station.capture.recorder.ROWS_WAITING", 2)
+    tally = Tally()
+    full = Recorder(cast(Any, None), tally, waits=False)  # never started: nothing is taken off its queue
+    for t_ns in range(5):
+        full.command(t_ns, np.zeros(1))
+    assert tally.counts().readings_lost == 3

@@ -233,3 +233,30 @@ def test_run_takes_both_and_says_so(station):
     for command in ("run", "capture"):
         code, text, _ = station(command, "--help")
         assert code == 0 and "--until-enough" in text and "--frames" in text
+
+
+def test_a_motion_that_was_paused_in_a_curve_is_lengthened_from_its_true_end(tmp_path: Path):
+    """A curve that is begun again in its middle takes longer; the further legs begin after that, and are made whole."""
+    control, out = Control(), tmp_path / "s"
+    waves = "sinusoids = { duration_s = 8, joint = { wrist = { amplitude_deg = 10, period_s = 4 } } }\n"
+    text = f'schema = "motion/1"\nname = "m"\nmode = "stream"\n[[step]]\n{waves}'
+    paused: list[float] = []
+
+    def pause(done_s: float, total_s: float) -> None:
+        if done_s > 5.0 and not paused:
+            paused.append(done_s)
+            control.pause()
+
+    def go_on(shot: Snapshot) -> None:
+        if shot.state == "paused":
+            control.resume()
+
+    capturing.capture(
+        "demo", motion_file(tmp_path, text), out, until_enough=1, control=control, progress=pause, watch=go_on
+    )
+    events = Recording.load(out).events
+    begins = next(event for event in events if "further motion, round" in event.text)
+    done = next(event for event in events if event.text == "motion done")
+    more_s = float(begins.text.split(": ")[1].split(" s more")[0])
+    assert done.t_s - begins.t_s == pytest.approx(more_s, abs=0.1)  # a few turns, and what is printed
+    assert read_status(out).counts["pauses"] == 1

@@ -7,7 +7,7 @@ from station.capture.control import Control, StopAsked
 from station.capture.counts import CaptureCounts
 from station.capture.crew import NS_PER_S, SERVO_RATE_HZ, Crew
 from station.capture.ending import Unbroken, end
-from station.capture.leaving import RECONNECT_EVERY_S, say_left
+from station.capture.leaving import RECONNECT_EVERY_S, leave_alone
 from station.capture.live_view import LiveView
 from station.capture.pausing import heed
 from station.capture.recorder import SessionWriter
@@ -72,7 +72,12 @@ class HandCapture:
         except BaseException as error:
             failure = error
         return end(
-            ending, self._crew, self._writer, failure, complete=failure is None, leave=lambda: self._leave(failure)
+            ending,
+            self._crew,
+            self._writer,
+            failure,
+            complete=failure is None,
+            leave=lambda: leave_alone(self._crew, "limp, as it was", failure),
         )
 
     def _look_on(self) -> None:
@@ -96,15 +101,6 @@ class HandCapture:
         crew.states.to(State.MOVING)
         self._start_ns = crew.clock.now_ns()
         crew.frames.open()
-
-    def _leave(self, failure: BaseException | None) -> None:
-        """There is nothing to be done to an arm that is limp, or to none."""
-        if isinstance(failure, Exception):
-            self._crew.states.to(State.FAULT)
-        if self._crew.has_arm:
-            say_left(self._crew, "limp, as it was")
-        else:
-            self._crew.states.to(State.IDLE)
 
     def _done_ns(self) -> int:
         return self._crew.clock.now_ns() - self._start_ns

@@ -56,11 +56,24 @@ def leave(
         crew.situation.step = f"arm NOT left as declared ({safety.at_exit}): {failures[0]}"
         crew.states.to(State.FAULT)
         raise failures[0]
-    say_left(crew, safety.at_exit)
+    _say_left(crew, safety.at_exit)
 
 
-def say_left(crew: Crew, how: str) -> None:
-    """Nothing more is asked of the servos: say how the arm was left."""
+def leave_alone(crew: Crew, how: str, failure: BaseException | None) -> None:
+    """End the capture of an arm of which nothing was asked: only say how it is left.
+
+    Args:
+        failure: as of `leave`.
+    """
+    if isinstance(failure, Exception):
+        crew.states.to(State.FAULT)
+    if crew.has_arm:
+        _say_left(crew, how)
+    else:
+        crew.states.to(State.IDLE)
+
+
+def _say_left(crew: Crew, how: str) -> None:
     crew.situation.step = f"arm left: {how}"
     crew.states.to(State.IDLE)
     crew.journal.info(crew.situation.step)

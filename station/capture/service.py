@@ -13,7 +13,7 @@ from station.capture.control import Control, StopAsked
 from station.capture.counts import CaptureCounts
 from station.capture.crew import Crew
 from station.capture.ending import Unbroken, end
-from station.capture.leaving import leave, say_left
+from station.capture.leaving import leave, leave_alone
 from station.capture.lengthening import Lengthening
 from station.capture.live_view import LiveView
 from station.capture.pausing import heed
@@ -108,10 +108,7 @@ class Capture:
         crew.states.to(State.MOVING)
 
     def _leave(self, failure: BaseException | None, finished: bool) -> None:
-        crew = self._crew
         if self._powered:
-            leave(crew, self._plan.joints, self._plan.park, failure=failure, finished=finished)
-            return
-        if isinstance(failure, Exception):
-            crew.states.to(State.FAULT)
-        say_left(crew, "as it was found")
+            leave(self._crew, self._plan.joints, self._plan.park, failure=failure, finished=finished)
+        else:
+            leave_alone(self._crew, "as it was found", failure)

@@ -28,7 +28,7 @@ class State(StrEnum):
 
 
 FOLLOWS: dict[State, frozenset[State]] = {
-    State.IDLE: frozenset({State.CHECKING}),
+    State.IDLE: frozenset({State.CHECKING, State.FAULT}),
     State.CHECKING: frozenset({State.MOVING, State.PAUSED, State.PARKING, State.FAULT, State.IDLE}),
     State.MOVING: frozenset({State.HOLDING, State.PAUSED, State.PARKING, State.FAULT, State.IDLE}),
     State.HOLDING: frozenset({State.MOVING, State.PAUSED, State.PARKING, State.FAULT, State.IDLE}),

@@ -251,3 +251,11 @@ def test_what_goes_too_far_or_too_fast_is_refused_with_step_joint_and_remedy():
         plan(Sinusoids({"pan": Wave(0.1, 0.1)}, 30.0, 1.0))
     with pytest.raises(InvalidData, match=r"step 1: the motion lasts .* h by then; 24 h at most"):
         plan(EachJoint(hold_s=40_000.0))
+
+
+def test_a_sinusoid_that_shakes_a_joint_too_hard_is_refused_though_it_is_slow_enough():
+    wave = Sinusoids({"pan": Wave(0.05, 2.0)}, 4.0)  # 0.63 rad/s, 7.9 rad/s2 at its ends
+    motion = Motion("shaking", (wave,), "stream")
+    plan_motion(motion, (replace(PAN, max_acceleration=20.0),))
+    with pytest.raises(LimitExceeded, match=r"pan would reach .*/s2; its greatest acceleration is 286\.5 deg/s2"):
+        plan_motion(motion, (replace(PAN, max_acceleration=5.0),))
