@@ -14,8 +14,9 @@ from pathlib import Path
 import hypothesis
 import pytest
 
-# A shell that runs the tests in the background has them ignore SIGINT, which some of them send.
+# A shell that runs the tests in the background has them ignore SIGINT, nohup SIGHUP; some of them send these.
 signal.signal(signal.SIGINT, signal.default_int_handler)
+signal.signal(signal.SIGHUP, signal.SIG_DFL)
 # No deadline for an example: machines differ, and a timing is no test.
 hypothesis.settings.register_profile("station", deadline=None)
 hypothesis.settings.load_profile("station")
