@@ -20,6 +20,8 @@ UNCERTAIN_POINT_M = 0.05
 UNCERTAIN_PITCH = 1 / 3
 # A ball's second turn [rad], as a deviation, that is not told from none: below this, or so many deviations of a state.
 ONE_TURN_RAD, ONE_TURN_DEVIATIONS = float(np.radians(2.0)), 2.0
+# Share of a joint's frames that are outliers, above which they may well be a motion that the tree leaves unexplained.
+MANY_OUTLIERS = 0.2
 # Probability below which a type is worth a word.
 SURE = 0.9
 
@@ -43,6 +45,7 @@ def remarks(
     found = [*_hardly_seen(log), *_half_known(log)]
     for joint, reading in zip(joints, readings, strict=True):
         found += [*_motion(joint), *_of_type(joint, reading), *_runner_up(joint)]
+    found += _many_outliers(joints)
     for joint, a, b, odds in doubts:
         found.append(
             f"{joint.name} may as well connect {a} and {b}, which move along the same line as {joint.parent} and "
@@ -84,6 +87,18 @@ def _motion(joint: Joint) -> list[str]:
     if motion_share(travel, unit) < 1:
         return [f"{joint.name} moved only {moved}: its axis is not identifiable"]
     return [f"{joint.name}: its axis is known to {np.degrees(joint.axis_std_rad):.0f} deg only"]
+
+
+def _many_outliers(joints: Sequence[Joint]) -> list[str]:
+    shares = {joint.name: (joint.outliers or 0) / joint.frames for joint in joints if joint.frames}
+    many = {name: share for name, share in shares.items() if share > MANY_OUTLIERS}
+    if not many:
+        return []
+    told = ", ".join(f"{share:.0%} of {name}" for name, share in many.items())
+    return [
+        f"many frames are outliers ({told}): if the poses are good, a motion is left unexplained and the tree may be "
+        "wrong; move one joint at a time, each for about as long"
+    ]
 
 
 def _place(joint: Joint, what: str) -> list[str]:

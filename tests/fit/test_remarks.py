@@ -63,3 +63,9 @@ def test_where_nothing_moved_that_is_said() -> None:
     made = single_joint(rng, "rigid", frames=100, travel=0.0, arm_m=0.3, parent_tracked=True)
     fit = learn(watch(rng, made.T_ref_part, STD_M, STD_RAD).log)
     assert fit.tree.warnings == ("no part moved against another: the tree has no joints",)
+
+
+@pytest.mark.parametrize(("share", "said"), [(0.1, False), (0.35, True)])
+def test_many_outliers_are_said_as_they_may_be_a_motion_that_is_left_unexplained(share: float, said: bool) -> None:
+    fit = fitted("revolute", 1.5, faults=Faults(outliers=share))
+    assert any("many frames are outliers" in warning for warning in fit.tree.warnings) == said
