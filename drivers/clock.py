@@ -70,9 +70,7 @@ class VirtualClock:
             if seat is None or seat.thread_id != threading.get_ident():
                 self._now_ns = max(self._now_ns, t_ns)
                 return
-            seat.wakes_ns = max(self._now_ns, t_ns)
-            self._pass_on()
-        self._await(seat)
+        self._await(seat, t_ns)
 
     def seat(self) -> Seat:
         with self._changed:
@@ -95,17 +93,22 @@ class VirtualClock:
             if self._turn is seat:
                 self._pass_on()
 
-    def _await(self, seat: Seat) -> None:
+    def _await(self, seat: Seat, wakes_ns: int | None = None) -> None:
+        """Wait for the seat's turn; with `wakes_ns` it has it, and passes it on until then."""
         try:
-            self._wait(seat)
+            with self._changed:
+                if wakes_ns is not None:
+                    seat.wakes_ns = max(self._now_ns, wakes_ns)
+                    self._pass_on()
+                self._wait(seat)
         except BaseException:  # a signal's: its thread has its turn before it goes on
-            seat.wakes_ns = self._now_ns
-            self._wait(seat)
+            with self._changed:
+                seat.wakes_ns = self._now_ns
+                self._wait(seat)
             raise
 
     def _wait(self, seat: Seat) -> None:
-        with self._changed:
-            self._changed.wait_for(lambda: self._turn is seat)
+        self._changed.wait_for(lambda: self._turn is seat)
 
     def _pass_on(self) -> None:
         """Give the turn to the one who wakes first."""
