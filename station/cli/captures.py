@@ -13,17 +13,22 @@ import typer
 from station.cli.app import app
 from station.cli.options import (
     DryRun,
+    DurationS,
     Force,
     Frames,
     FramesKept,
+    Hand,
     Headless,
     Json,
     MotionArgument,
+    MotionOrNone,
     Out,
+    OutOrNone,
     Port,
     Realtime,
     Resume,
     RigArgument,
+    RigOrNone,
     Seed,
     Simulate,
     UntilEnough,
@@ -103,25 +108,11 @@ def _run(rig: str, motion: str, out: Path, as_json: bool, live: LiveServer | Non
 
 @app.command()
 def capture(
-    rig: Annotated[
-        str | None, typer.Argument(metavar="RIG", help="Rig: a file, or a packaged one's name.", show_default=False)
-    ] = None,
-    motion: Annotated[
-        str | None,
-        typer.Argument(
-            metavar="[MOTION]",
-            help="Motion: a file, a packaged one's name, or a session or commands.csv to replay; none with --hand.",
-        ),
-    ] = None,
-    out: Annotated[
-        Path | None, typer.Option("--out", help="Session folder; must be new or empty.", show_default=False)
-    ] = None,
-    hand: Annotated[
-        bool, typer.Option("--hand", help="Torque OFF: people move the arm, or any marked object.")
-    ] = False,
-    duration_s: Annotated[
-        float | None, typer.Option("--duration-s", min=0.1, help="How long to record with --hand; until Ctrl-C.")
-    ] = None,
+    rig: RigOrNone = None,
+    motion: MotionOrNone = None,
+    out: OutOrNone = None,
+    hand: Hand = False,
+    duration_s: DurationS = None,
     resume: Resume = None,
     yes: Yes = False,
     seed: Seed = None,
@@ -145,35 +136,39 @@ def capture(
     servos then. Ctrl-C is the normal end.
     """
     made: dict[str, Any] = {"seed": seed, "simulate": simulate, "force": force, **_kept(frames)}
-    if resume is not None and (any((rig, motion, out, hand)) or any(made.values()) or seed is not None):
+    described = any((rig, motion, out, hand)) or any(made.values()) or seed is not None
+    if resume is None and (rig is None or out is None):
+        raise typer.BadParameter("want RIG and --out, or --resume SESSION")
+    if resume is not None and described:
         raise typer.BadParameter(
             "--resume takes rig, motion, folder, seed and frames from the session: want none beside it"
         )
-    if resume is None and (rig is None or out is None):
-        raise typer.BadParameter("want RIG and --out, or --resume SESSION")
     if resume is None and hand == (motion is not None):
         raise typer.BadParameter("want a motion, or --hand" if not hand else "want a motion or --hand, not both")
-    if duration_s is not None and not hand:
-        raise typer.BadParameter("--duration-s goes with --hand; a motion lasts as long as it does")
-    if hand and until_enough:
-        raise typer.BadParameter("--until-enough goes with a motion: with --hand people see to it")
+    _check_goes_with(motion, hand=hand, duration_s=duration_s, until_enough=until_enough, dry_run=dry_run)
+    folder = Path(str(out))
     if dry_run:
-        if motion is None:
-            raise typer.BadParameter("--dry-run goes with RIG and MOTION: what a hand will do nobody knows")
-        _show_dry_run(
-            str(rig), motion, Path(str(out)), simulate=simulate, force=force, as_json=as_json, **_kept(frames)
-        )
+        _show_dry_run(str(rig), str(motion), folder, simulate=simulate, force=force, as_json=as_json, **_kept(frames))
         return
     with live_view(view=view, headless=headless, port=port) as live:
         settings = {"live": live, "realtime": realtime, "until_enough": until_enough}
         if resume is not None:
             counts = _resume(resume, settings)
         else:
-            counts = _capture(str(rig), motion, Path(str(out)), asking(yes), duration_s, made | settings)
-    if as_json:
-        print(json.dumps(counts.as_dict()))
-    else:
-        _show_counts(counts)
+            counts = _capture(str(rig), motion, folder, asking(yes), duration_s, made | settings)
+    _show_counts(counts, as_json)
+
+
+def _check_goes_with(
+    motion: str | None, *, hand: bool, duration_s: float | None, until_enough: int, dry_run: bool
+) -> None:
+    """Raise typer.BadParameter for options that mean nothing with a motion, or with none."""
+    if duration_s is not None and not hand:
+        raise typer.BadParameter("--duration-s goes with --hand; a motion lasts as long as it does")
+    if hand and until_enough:
+        raise typer.BadParameter("--until-enough goes with a motion: with --hand people see to it")
+    if dry_run and motion is None:
+        raise typer.BadParameter("--dry-run goes with RIG and MOTION: what a hand will do nobody knows")
 
 
 def _capture(
@@ -203,8 +198,11 @@ def _kept(frames: Frames | None) -> dict[str, str]:
     return {} if frames is None else {"frames": frames.value}
 
 
-def _show_counts(counts: CaptureCounts) -> None:
+def _show_counts(counts: CaptureCounts, as_json: bool) -> None:
     """What was recorded, and what else was counted if it happened at all."""
+    if as_json:
+        print(json.dumps(counts.as_dict()))
+        return
     always = ("frames", "dropped_frames", "commands", "readings", "bus_errors")
     for name, number in counts.as_dict().items():
         if number or name in always:

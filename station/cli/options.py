@@ -88,3 +88,22 @@ SessionArgument = Annotated[Path, typer.Argument(metavar="SESSION", help="Sessio
 Commands = Annotated[
     Path | None, typer.Option("--commands", help="commands.csv of another clock, in place of the recorded commands.")
 ]
+
+# Of `capture`, which takes a session instead of these with --resume, and no motion with --hand.
+RigOrNone = Annotated[
+    str | None, typer.Argument(metavar="RIG", help="Rig: a file, or a packaged one's name.", show_default=False)
+]
+MotionOrNone = Annotated[
+    str | None,
+    typer.Argument(
+        metavar="[MOTION]",
+        help="Motion: a file, a packaged one's name, or a session or commands.csv to replay; none with --hand.",
+    ),
+]
+OutOrNone = Annotated[
+    Path | None, typer.Option("--out", help="Session folder; must be new or empty.", show_default=False)
+]
+Hand = Annotated[bool, typer.Option("--hand", help="Torque OFF: people move the arm, or any marked object.")]
+DurationS = Annotated[
+    float | None, typer.Option("--duration-s", min=0.1, help="How long to record with --hand; until Ctrl-C.")
+]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from importlib import metadata
 from pathlib import Path
@@ -105,25 +105,10 @@ def record_motion(
     rig_file: RigFile, planned: Plan, motion_text: str, out: Path, **settings: Unpack[CaptureSettings]
 ) -> CaptureCounts:
     """Run a planned motion on a rig into the session folder `out`; errors as for `capture`."""
-    from station.capture.lengthening import Lengthening
-    from station.capture.service import Capture
-
     check_output_folder(out, force=settings.get("force", False))
     _check_frames(settings)
-    with (
-        _opened(rig_file, settings) as opened,
-        _writer(rig_file, opened, motion_text, out, settings) as writer,
-        _live_view(opened, writer, out, settings) as live,
-    ):
-        return Capture(
-            opened,
-            planned,
-            writer,
-            live=live,
-            lengthening=Lengthening(motion_text, settings.get("until_enough", 0)),
-            remarks=room_remarks(rig_file, planned, out, settings.get("frames", "jpeg")),
-            **_wishes(rig_file, settings),
-        ).run()
+    with _opened(rig_file, settings) as opened, _writer(rig_file, opened, motion_text, out, settings) as writer:
+        return _captured(_Planned(rig_file, planned, motion_text), opened, writer, out, settings)
 
 
 def resume(session: Path, **settings: Unpack[CaptureSettings]) -> CaptureCounts:
@@ -139,8 +124,6 @@ def resume(session: Path, **settings: Unpack[CaptureSettings]) -> CaptureCounts:
         StationError: there is nothing to go on with: no session, a complete one, or one that is being recorded.
         DriverError: as for `capture`.
     """
-    from station.capture.lengthening import Lengthening
-    from station.capture.service import Capture
     from station.recording import Recording, RecordingWriter
     from station.view import session_blueprint
 
@@ -164,18 +147,38 @@ def resume(session: Path, **settings: Unpack[CaptureSettings]) -> CaptureCounts:
             since_last_s=VIRTUAL_GAP_S if opened.virtual else None,
             blueprint=session_blueprint(about.joints),
         ) as writer,
-        _live_view(opened, writer, session, settings) as live,
     ):
+        return _captured(_Planned(rig_file, planned, motion_text, first_leg, moved), opened, writer, session, settings)
+
+
+@dataclass(frozen=True, eq=False)
+class _Planned:
+    """What is to be captured: a motion on a rig, from a leg on, and what was seen of it before."""
+
+    rig_file: RigFile
+    plan: Plan
+    text: str
+    first_leg: int = 0
+    moved: MotionTally | None = None
+
+
+def _captured(
+    planned: _Planned, opened: Rig, writer: RecordingWriter, folder: Path, settings: CaptureSettings
+) -> CaptureCounts:
+    from station.capture.lengthening import Lengthening
+    from station.capture.service import Capture
+
+    with _live_view(opened, writer, folder, settings) as live:
         return Capture(
             opened,
-            planned,
+            planned.plan,
             writer,
             live=live,
-            first_leg=first_leg,
-            lengthening=Lengthening(motion_text, settings.get("until_enough", 0)),
-            motion=moved,
-            remarks=room_remarks(rig_file, planned, session, settings["frames"]),
-            **_wishes(rig_file, settings),
+            first_leg=planned.first_leg,
+            lengthening=Lengthening(planned.text, settings.get("until_enough", 0)),
+            motion=planned.moved,
+            remarks=room_remarks(planned.rig_file, planned.plan, folder, settings.get("frames", "jpeg")),
+            **_wishes(planned.rig_file, settings),
         ).run()
 
 
