@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager, ExitStack, nullcontext
 
 from drivers.camera import Frame, FrameQueue, Image, Setting
 from drivers.clock import Clock
@@ -33,6 +34,8 @@ class RenderedCamera:
         latency_s: from the end of the exposure to the arrival.
         clock: gives the stamps.
         realtime: whether the clock runs by itself.
+        beside: what `render` needs to be open while the camera is, such as a program that draws; opened by `start`,
+            before the first exposure.
 
     Raises:
         CameraError: for times that make no camera, or a rendered image of another size (from `read`).
@@ -49,6 +52,7 @@ class RenderedCamera:
         latency_s: float,
         clock: Clock,
         realtime: bool,
+        beside: Callable[[], AbstractContextManager[object]] = nullcontext,
     ) -> None:
         if not fps > 0 or not 0 <= exposure_s <= 1 / fps or not 0 <= readout_s <= 1 / fps or latency_s < 0:
             have = f"fps {fps}, exposure {exposure_s} s, readout {readout_s} s, latency {latency_s} s"
@@ -68,6 +72,8 @@ class RenderedCamera:
         self._latency_ns = round(latency_s * NS)
         self._clock = clock
         self._realtime = realtime
+        self._beside = beside
+        self._opened = ExitStack()
         self._start_ns: int | None = None
         self._next = 0
         self._queue: FrameQueue[Frame] = FrameQueue()
@@ -102,6 +108,7 @@ class RenderedCamera:
     def start(self) -> None:
         """Open the shutter for frame 0 now."""
         self.close()
+        self._opened.enter_context(self._beside())
         self._start_ns = self._clock.now_ns()
         self._next = 0
         self._queue = FrameQueue()
@@ -146,6 +153,7 @@ class RenderedCamera:
         if self._thread is not None:
             self._thread.join()
             self._thread = None
+        self._opened.close()
         self._start_ns = None
 
     def _exposed_ns(self, start_ns: int, index: int) -> int:

@@ -6,7 +6,7 @@ Whether a rig is real or simulated is decided here, once; all else works on a Ri
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, nullcontext
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -30,6 +30,7 @@ from station.hand_motion import HandMotion, HandMovedObject
 from station.perception.markers import MarkerTable
 from station.rig_reading import joint_configs, read_rig
 from station.stage import Stage
+from station.stage_apart import StageApart
 
 # On a virtual clock a slow machine must not make a reply late: waits for one are then real time, and generous.
 VIRTUAL_REPLY_TIMEOUT_S = 10.0
@@ -206,7 +207,12 @@ class Moved(Protocol):
 def rendered_camera(
     table: RigTable, camera: SimulatedCamera, stage: Stage, moved: Moved, clock: Clock, *, realtime: bool
 ) -> RenderedCamera:
-    """The camera that sees what moves on its stage; not started yet."""
+    """The camera that sees what moves on its stage; not started yet.
+
+    In real time a program of its own draws, as a real camera takes none of the capture's time.
+    """
+    apart = StageApart(stage) if realtime else None
+    draw = stage.render if apart is None else apart.render
     shares = (np.arange(camera.blur_instants) + 0.5) / camera.blur_instants - 0.5
     # (instants, knots): each knot of the rolling shutter has all instants of the exposure.
     offsets_s = shares[:, None] * camera.exposure_s + stage.knots_s
@@ -214,7 +220,7 @@ def rendered_camera(
 
     def render(t_mid_ns: int, index: int) -> NDArray[np.uint8]:
         states = [moved.joint_states(t_mid_ns + offset) for offset in offsets_ns.ravel().tolist()]
-        return stage.render(np.reshape(states, (*offsets_ns.shape, -1)), index)
+        return draw(np.reshape(states, (*offsets_ns.shape, -1)), index)
 
     return RenderedCamera(
         render,
@@ -225,4 +231,5 @@ def rendered_camera(
         latency_s=camera.latency_s,
         clock=clock,
         realtime=realtime,
+        beside=lambda: apart or nullcontext(),
     )

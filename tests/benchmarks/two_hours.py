@@ -24,7 +24,9 @@ import numpy as np
 
 from station.commands import capturing
 from station.commands.fitting import MOST_MARKERS
+from station.perception.jpeg import encode_jpeg
 from station.perception.marker_tracker import MarkerTracker
+from station.recording.sizes import expected_rates
 from station.rig import load_rig
 from station.stage import Stage
 from tests.trials.memory import resident_mb, run_measured
@@ -65,6 +67,11 @@ class Pictures:
         self._states.append(q.ravel())
         self._known.append(self._draw(stage, q, index))
         return self._known[-1]
+
+    @property
+    def first(self) -> np.ndarray:
+        """The first picture that was drawn."""
+        return self._known[0]
 
     @property
     def made(self) -> int:
@@ -134,6 +141,15 @@ def show_memory(rows: np.ndarray) -> None:
     )
 
 
+def show_size(folder: Path, session: Path, rows: np.ndarray, first: np.ndarray) -> None:
+    """Print the recording's size beside what `station doctor` would have foretold from the first picture."""
+    rates = expected_rates(load_rig(str(folder / "rig.toml")).table, frame_bytes=len(encode_jpeg(first)))
+    had_mb = sum(path.stat().st_size for path in session.glob("*.rrd")) / 1e6
+    foretold_mb = rates.bytes_per_s * 60 * rows[-1, 0] / 1e6
+    share = had_mb / foretold_mb
+    print(f"recording: {had_mb:.1f} MB, foretold with all markers seen {foretold_mb:.1f} MB, {share:.2f} of that")
+
+
 def main() -> None:
     """Print the tables."""
     options = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -152,6 +168,7 @@ def main() -> None:
             f"{pictures.made} pictures drawn for {pictures.asked} frames; their {pictures.mb:.0f} MB are left out here"
         )
         show_memory(rows)
+        show_size(folder, session, rows, pictures.first)
         code, peak_mb, processor_s = run_measured([*STATION, "fit", str(session)])
         verdict = "within" if peak_mb <= FIT_MB else "NOT within"
         print(
