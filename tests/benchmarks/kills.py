@@ -103,7 +103,7 @@ def judge(done: Kill, session: Path, lines: list[Line], killed_ns: int) -> None:
         # Frames that are taken outside of the motion aren't meant to be recorded.
         if age_s > (0 if ended else WANTED_S) and (kind != "taken" or done.phase == "moving")
     ]
-    closed = ended or (done.phase == "closing" and done.loss.worst_s == 0)
+    closed = ended or (done.phase == "closing" and done.loss.nothing)
     if wrong := untrue(session, recording, complete=closed):
         done.failures.append(wrong)
     try:

@@ -37,6 +37,11 @@ class Loss:
         """The greatest of all kinds."""
         return max(self.age_s.values())
 
+    @property
+    def nothing(self) -> bool:
+        """Whether all that was handed to the recording is there."""
+        return not any(count for kind, count in self.count.items() if kind != "taken")
+
 
 def losses(recording: Recording, lines: Sequence[Line], killed_ns: int) -> Loss:
     """Hold a recording of one piece against the ledger of its program, killed at a monotonic time in ns."""
