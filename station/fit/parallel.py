@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager, contextmanager
 from contextvars import ContextVar
@@ -18,7 +18,7 @@ _alone: ContextVar[bool] = ContextVar("alone", default=False)
 
 
 @contextmanager
-def in_this_thread() -> Iterator[None]:
+def in_this_thread() -> Generator[None, None, None]:
     """While it is entered, `each` starts no threads: for where many fits run side by side, one on each core.
 
     It holds for the thread that enters it. The numbers are the same.
