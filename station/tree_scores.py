@@ -8,6 +8,7 @@ true one, and where it is mounted a log of true poses tells.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 
@@ -230,7 +231,7 @@ def _state_rms(found: FloatArray, true: FloatArray, unit: str) -> float | None:
     if not difference.size:
         return None
     if unit == "rad":
-        middle: float = np.arctan2(np.mean(np.sin(difference)), np.mean(np.cos(difference)))
+        middle = math.atan2(float(np.mean(np.sin(difference))), float(np.mean(np.cos(difference))))
         difference = np.remainder(difference - middle + np.pi, 2 * np.pi) - np.pi
     return float(np.sqrt(np.mean((difference - difference.mean()) ** 2)))
 
