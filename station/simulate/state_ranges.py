@@ -89,7 +89,7 @@ def _range(joint: Joint) -> tuple[float, float]:
         )
     if ball and found[0] < 0:
         raise InvalidData(
-            f"joint '{joint.name}': limits from {found[0]:g} to {found[1]:g} rad; a spherical joint's are of the angle of "
-            "its rotation vector, 0 or more"
+            f"joint '{joint.name}': limits from {found[0]:g} to {found[1]:g} rad; a spherical joint's are of the angle "
+            "of its rotation vector, 0 or more"
         )
     return found
