@@ -13,7 +13,7 @@ from station.errors import InvalidData
 from station.fit.options import METHODS
 from station.kinematics.tree import Joint, KinematicTree
 from station.logs import check_slugs
-from station.simulate import NOISE_MODELS, Noise, SimulationOptions
+from station.simulate import NOISE_MODELS, Noise, SimulationOptions, simulate
 
 # Far more than anyone waits for; a slip of the keyboard.
 MOST_FITS = 1_000_000
@@ -127,7 +127,7 @@ class Grid:
         _check_whole(self.seed, "seed", 0)
         if len(self) > MOST_FITS:
             raise InvalidData(f"the grid has {len(self):,} fits; want {MOST_FITS:,} at most: fewer levels or repeats")
-        self.simulations()
+        self._check_simulations()
 
     def __len__(self) -> int:
         return len(self.trees) * len(self.methods) * len(self.noise) * len(self.inflation) * self.repeats
@@ -138,6 +138,15 @@ class Grid:
             replace(self.options, noise=self.noise_of(level), inflation=inflation)
             for level, inflation in product(self.noise, self.inflation)
         ]
+
+    def _check_simulations(self) -> None:
+        """Raise InvalidData if the simulator refuses one of the simulations, or a tree, such as one that isn't planar."""
+        short = [replace(options, frames=1, inflation=0) for options in self.simulations()]
+        for named in self.trees:
+            try:
+                simulate(named.tree, short[0], 0)
+            except InvalidData as error:
+                raise InvalidData(f"tree '{named.name}': {error}") from None
 
     def noise_of(self, level: NoiseLevel) -> Noise:
         """The noise of a level."""
