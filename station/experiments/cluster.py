@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import re
 import time
+from contextlib import ExitStack
 from types import TracebackType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 from station.errors import InvalidData, StationError
 from station.experiments.fits import versions
@@ -61,22 +62,24 @@ class DaskCluster(Workers):
     def _threads(self) -> int:
         """Of all workers; as last seen while the scheduler doesn't answer, which its futures will tell."""
         try:
-            return 0 if self._client is None else sum(self._client.nthreads().values())
+            return 0 if self._client is None else sum(cast(dict[str, int], self._client.nthreads()).values())
         except (OSError, TimeoutError):
             return self._slots
 
     def _connect(self) -> None:
         try:
-            import dask
+            from dask import config
             from distributed import Client, KilledWorker
         except ImportError:
             raise StationError(
                 "a Dask cluster needs the extra 'cluster'\nrun: pip install 'capture-fit-station[cluster]'"
             ) from None
-        dask.config.set({"distributed.comm.timeouts.connect": ANSWER_S})
+        self._inside = ExitStack()
+        self._inside.enter_context(config.set({"distributed.comm.timeouts.connect": ANSWER_S}))
         try:
             self._client = Client(self._address, timeout=ANSWER_S, set_as_default=False)
         except (OSError, TimeoutError, ValueError) as error:
+            self._inside.close()
             raise StationError(
                 f"no Dask scheduler answers at {self._address} within {ANSWER_S:g} s: {_first_line(error)}\n"
                 "start one: dask scheduler --host 127.0.0.1, and dask worker ADDRESS; or leave --executor out"
@@ -114,6 +117,7 @@ class DaskCluster(Workers):
             self.executor.shutdown(wait=False)
             self._client.close(timeout=ANSWER_S)
             self._client = None
+            self._inside.close()
 
 
 def _first_line(error: BaseException) -> str:

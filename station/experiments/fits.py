@@ -76,15 +76,15 @@ def run_cell(cell: Cell, tree: KinematicTree, *, keep: bool = False) -> Outcome:
         tree: that generates it.
         keep: whether the found tree is to be kept.
     """
-    begun_s = time.perf_counter()
+    begun_s = time.thread_time()
     try:
         made = simulated(cell, tree)
-        begun_s = time.perf_counter()
+        begun_s = time.thread_time()
         fit = fitted(cell, made)
-        fit_s = time.perf_counter() - begun_s
+        fit_s = time.thread_time() - begun_s
         scores = score_tree(fit.tree, made.tree, made.truth, found_states=fit.states, true_states=made.states)
     except Exception as error:  # whatever it is, the other cells are to be fitted
-        return Outcome(_failed(cell, error, time.perf_counter() - begun_s), None)
+        return Outcome(_failed(cell, error, time.thread_time() - begun_s), None)
     return Outcome(_row(cell, made.tree, scores, fit_s), to_json(fit.tree) if keep else None)
 
 
@@ -146,7 +146,7 @@ _count = 0
 
 @contextmanager
 def _one_thread() -> Generator[None, None, None]:
-    """One thread a fit. The limit is the whole program's: the first worker thread that comes sets it, the last lifts it."""
+    """One thread a fit. The limit is the whole program's: the first thread that comes sets it, the last lifts it."""
     global _count
     with _lock:
         _count += 1

@@ -140,7 +140,7 @@ class Grid:
         ]
 
     def _check_simulations(self) -> None:
-        """Raise InvalidData if the simulator refuses one of the simulations, or a tree, such as one that isn't planar."""
+        """Raise InvalidData if the simulator refuses a simulation, or a tree, such as one that isn't planar."""
         short = [replace(options, frames=1, inflation=0) for options in self.simulations()]
         for named in self.trees:
             try:

@@ -1,4 +1,4 @@
-"""sweep.json, schema sweep/1: the grid of a sweep as strict JSON and back, and whether one grid goes on with another."""
+"""sweep.json, schema sweep/1: the grid of a sweep as strict JSON and back; whether one grid goes on with another."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def parse_grid(text: str, name: str, tree: Callable[[str], KinematicTree]) -> Gr
 
 
 def grid_changes(before: Grid, after: Grid) -> str | None:
-    """Why a sweep of one grid can't go on with another, in words; None if it has all of its cells, with their numbers."""
+    """Why a sweep of one grid can't go on with another, in words; None if that one has all its cells and numbers."""
     prints = {named.name: fingerprint(named.tree) for named in after.trees}
     for named in before.trees:
         if prints.get(named.name, "") != fingerprint(named.tree):

@@ -1,7 +1,7 @@
 """Workers that are processes of this machine.
 
-They are spawned, not forked: a fork copies locks that other threads hold. Each has a line to the program that spawned it,
-and ends at once when that is gone or hangs up: no signal has to reach it, and a kill leaves no orphan.
+They are spawned, not forked: a fork copies locks that other threads hold. Each has a line to the program that spawned
+it, and ends at once when that is gone or hangs up: no signal has to reach it, and a kill leaves no orphan.
 """
 
 from __future__ import annotations

@@ -6,8 +6,8 @@
     fits/CELL.json      found trees: of the least inflation, the first repeats
     sweep.csv .parquet  all rows in the grid's order, written when the sweep ends or is broken off
 
-Whatever ends the program, a kill or a power cut, costs no line that was handed to `add`: lines are on the disk before it
-returns, and a line that a kill tore is taken away when the folder is opened again. One program at a time may write.
+Whatever ends the program, a kill or a power cut, costs no line that was handed to `add`: lines are on the disk before
+it returns, and an end that was torn is taken away when the folder is opened again. One program at a time may write.
 """
 
 from __future__ import annotations
@@ -196,7 +196,9 @@ class Store:
         try:
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
-            raise StationError(f"another program is writing the sweep in '{self.folder}'; let it end, or stop it") from None
+            raise StationError(
+                f"another program is writing the sweep in '{self.folder}'; let it end, or stop it"
+            ) from None
 
     def _take_up(self) -> None:
         before = _read_grid(self.folder)

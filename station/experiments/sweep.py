@@ -98,7 +98,9 @@ class _Round:
         """Cells to hand out together: fewer towards the end, so that all workers end at a time; suspects go alone."""
         share = math.ceil(len(self._waiting) / (2 * AHEAD * slots))
         cells = [self._waiting.popleft()]
-        while self._waiting and len(cells) < min(share, MOST_AT_ONCE) and not self._suspects(cells[-1], self._waiting[0]):
+        while (
+            self._waiting and len(cells) < min(share, MOST_AT_ONCE) and not self._suspects(cells[-1], self._waiting[0])
+        ):
             cells.append(self._waiting.popleft())
         return cells
 

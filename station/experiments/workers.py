@@ -1,4 +1,4 @@
-"""Who does the work of a sweep: an executor of the standard concurrent.futures interface, on this machine or on Dask."""
+"""Who does the work of a sweep: an executor of the standard concurrent.futures interface, here or on a cluster."""
 
 from __future__ import annotations
 
@@ -24,6 +24,7 @@ class Workers(ABC):
     @abstractmethod
     def __enter__(self) -> Workers: ...
 
+    @abstractmethod
     def __exit__(self, kind: type[BaseException] | None, *_: BaseException | TracebackType | None) -> None:
         """End what was started; at once, whatever runs, after an error or a signal."""
 
@@ -50,6 +51,9 @@ class Borrowed(Workers):
 
     def __enter__(self) -> Borrowed:
         return self
+
+    def __exit__(self, kind: type[BaseException] | None, *_: BaseException | TracebackType | None) -> None:
+        """Nothing was started here."""
 
     def slots(self) -> int:
         return self._slots
