@@ -60,7 +60,16 @@ def sweep(
     ] = None,
     frames: Annotated[int, typer.Option("--frames", help="Of each simulation.")] = 100,
     seed: Annotated[int, typer.Option("--seed", help="Of everything random.")] = 0,
-    noise_model: Annotated[str, typer.Option("--noise", help="Model of the noise, such as gaussian.")] = "uniform",
+    noise: Annotated[
+        str, typer.Option("--noise", help="uniform, gaussian, student or camera; see station simulate.")
+    ] = "uniform",
+    freedom: Annotated[
+        int | None, typer.Option("--freedom", help="Degrees of freedom of student noise (3).", show_default=False)
+    ] = None,
+    flips: Annotated[
+        float | None,
+        typer.Option("--flips", help="Share of poses that camera noise turns over (0.02).", show_default=False),
+    ] = None,
     motion: Annotated[str, typer.Option("--motion", help="walk, as in the paper, or smooth.")] = "walk",
     root: Annotated[str, typer.Option("--root", help="moving, as in the paper, or static.")] = "moving",
     planar: Annotated[bool, typer.Option("--planar", help="2D objects.")] = False,
@@ -101,7 +110,8 @@ def sweep(
         inflation=usual if inflation is None else tuple(sweeping.parse_counts(inflation, "--inflation")),
         repeats=(sweeping.QUICK_REPEATS if quick else Grid.repeats) if repeats is None else repeats,
         seed=seed,
-        noise_model=noise_model,
+        noise_model=noise,
+        noise_parameters={"freedom": freedom, "flips": flips},
         options=SimulationOptions(
             frames=frames,
             motion=motion,

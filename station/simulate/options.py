@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 from station.errors import InvalidData
 from station.simulate.motions import MOTIONS
-from station.simulate.noise import Noise, UniformNoise, check_magnitude
+from station.simulate.noise import Noise, UniformNoise, check_count, check_magnitude, check_share
 
 ROOTS = ("moving", "static")
 
@@ -50,30 +50,27 @@ class SimulationOptions:
     known_noise: bool = False
 
     def __post_init__(self) -> None:
-        _check_count(self.frames, "frames", 1)
-        _check_count(self.inflation, "inflation", 0)
+        check_count(self.frames, "frames", 1)
+        check_count(self.inflation, "inflation", 0)
         if not isinstance(self.noise, Noise):
             raise InvalidData(f"noise is {self.noise!r}; want a model such as UniformNoise(0.001, 0.01)")
         for name, choices in (("motion", tuple(MOTIONS)), ("root", ROOTS)):
             value = getattr(self, name)
             if value not in choices:
                 raise InvalidData(f"{name} '{value}' is unknown; choose one of {', '.join(choices)}")
-        for name in ("outliers", "missing"):
-            _check_share(getattr(self, name), name)
+        check_share(self.outliers, "outliers")
+        check_share(self.missing, "missing poses")
         for name, unit in (("rate_hz", "Hz"), ("nearby_m", "m"), ("root_step_m", "m"), ("root_step_rad", "rad")):
             check_magnitude(getattr(self, name), name, unit)
         if not self.rate_hz > 0:
-            raise InvalidData("rate_hz is 0; want more frames a second")
-        if self.planar and self.noise.reference == "camera":
-            raise InvalidData("a camera's noise is not planar; choose another noise for a planar object")
+            raise InvalidData("rate_hz is 0; want some frames a second")
+        if self.planar:
+            self._check_planar()
+        if self.known_noise and not math.isfinite(self.noise.variance):
+            raise InvalidData(f"this {self.noise.name} noise has no variance that could be told; leave known_noise out")
 
-
-def _check_count(value: int, what: str, least: int) -> None:
-    if isinstance(value, bool) or not isinstance(value, int) or value < least:
-        raise InvalidData(f"{what} is {value!r}; want a whole number, {least} or more")
-
-
-def _check_share(value: float, what: str) -> None:
-    check_magnitude(value, f"share of {what}", "1")
-    if not value < 1 or math.isnan(value):
-        raise InvalidData(f"share of {what} is {value:g}; want 0 or more and less than 1")
+    def _check_planar(self) -> None:
+        if self.noise.reference == "camera":
+            raise InvalidData(f"{self.noise.name} noise is not planar; choose another for a planar object")
+        if self.known_noise:
+            raise InvalidData("noise in a plane has no covariance in space; leave known_noise out, or planar")

@@ -30,7 +30,9 @@ QUIET, LOUD = LEVELS
         ({"trees": (NamedTree("Door", DOOR.tree),)}, "tree 'Door' is no name"),
         ({"methods": ("papre",)}, "method 'papre' is unknown; choose one of station, paper"),
         ({"methods": ("paper", "paper")}, "method 'paper' is in the grid twice"),
-        ({"noise_model": "loud"}, "noise model 'loud' is unknown; choose one of uniform, gaussian"),
+        ({"noise_model": "loud"}, "noise 'loud' is unknown; choose one of uniform, gaussian"),
+        ({"noise_model": "gaussian", "noise_parameters": {"freedom": 4}}, "gaussian noise has no freedom"),
+        ({"noise_model": "student", "noise_parameters": {"freedom": 0}}, "degrees of freedom"),
         ({"noise": (NoiseLevel(math.nan, 0.1),)}, "noise of translation [m] is nan"),
         ({"noise": (NoiseLevel(0.1, math.inf),)}, "noise of rotation [rad] is inf"),
         ({"noise": (NoiseLevel(-0.1, 0.1),)}, "noise of translation [m] is -0.1; want a finite number, 0 or more"),
@@ -91,6 +93,7 @@ def test_methods_share_their_simulation_and_nothing_else_does():
     [
         {"seed": 1},
         {"noise_model": "gaussian"},
+        {"noise_model": "student", "noise_parameters": {"freedom": 5}},
         {"options": SimulationOptions(frames=21)},
         {"options": SimulationOptions(frames=20, root="static")},
     ],
@@ -115,10 +118,11 @@ def test_a_fingerprint_tells_trees_apart_by_what_moves_not_by_what_a_fit_said():
 
 
 def test_a_grid_is_read_as_it_was_written():
-    grid = small_grid(trees=(DOOR, DRAWER), noise_model="gaussian", options=SimulationOptions(frames=20, outliers=0.1))
+    grid = small_grid(trees=(DOOR, DRAWER), noise_model="student", noise_parameters={"freedom": 5})
+    grid = replace(grid, options=SimulationOptions(frames=20, outliers=0.1))
     trees: dict[str, KinematicTree] = {named.name: named.tree for named in grid.trees}
     again = parse_grid(grid_json(grid), "sweep.json", trees.__getitem__)
-    assert seeds(again) == seeds(grid) and again.options == grid.options and again.noise_model == "gaussian"
+    assert seeds(again) == seeds(grid) and again.options == grid.options and again.noise_model == "student"
 
 
 @pytest.mark.parametrize(
@@ -137,6 +141,7 @@ def test_a_grid_is_read_as_it_was_written():
         ({"trees": (NamedTree("door", DRAWER.tree),)}, "its tree 'door' is another one"),
         ({"options": SimulationOptions(frames=30)}, "its frames is 20, the new one's 30"),
         ({"noise_model": "gaussian"}, "its noise_model is uniform, the new one's gaussian"),
+        ({"noise_parameters": {"freedom": None}}, None),
     ],
     ids=str,
 )
