@@ -92,7 +92,7 @@ def test_every_option_reaches_the_simulation(station, tmp_path: Path):
     assert code == 0 and told["reference"] == "camera" and told["poses"] < 0.8 * 400
     log = read_pose_log(out)
     assert log.t_s[1] == 0.1 and log.covariance is not None
-    options = ("--noise", "student", "--freedom", 1, "--planar", "--force")
+    options = ("--noise", "student", "--freedom", 1, "--planar", "--planar-noise", "--force")
     assert station("simulate", "planar_linkage", "--out", out, *options)[0] == 0
     np.testing.assert_allclose(read_pose_log(out).T_ref_part[..., 2, 3], 0, atol=1e-12)
 

@@ -52,7 +52,10 @@ def simulate(
     ] = None,
     motion: Annotated[str, typer.Option("--motion", help="walk (the paper's bounded random walk) or smooth.")] = "walk",
     root: Annotated[str, typer.Option("--root", help="moving or static.")] = "moving",
-    planar: Annotated[bool, typer.Option("--planar", help="A 2D object: all in the xy plane.")] = False,
+    planar: Annotated[bool, typer.Option("--planar", help="A 2D object: it moves in the xy plane.")] = False,
+    planar_noise: Annotated[
+        bool, typer.Option("--planar-noise", help="With --planar: the noise is in the plane too.")
+    ] = False,
     outliers: Annotated[float, typer.Option("--outliers", help="Share of poses that are wrong.")] = 0.0,
     missing: Annotated[float, typer.Option("--missing", help="Share of poses that are not seen.")] = 0.0,
     rate_hz: Annotated[float, typer.Option("--rate-hz", help="Frames a second.")] = 30.0,
@@ -85,6 +88,7 @@ def simulate(
         missing=missing,
         rate_hz=rate_hz,
         known_noise=known_noise,
+        planar_noise=planar_noise,
     )
     written = simulating.simulate(tree, out, options=options, seed=seed, truth=truth, force=force)
     if as_json:

@@ -76,7 +76,7 @@ class CameraNoise(Noise):
     def apply(self, T_ref_part: FloatArray, draws: FloatArray, *, planar: bool = False) -> FloatArray:
         """(..., 4, 4) poses, some flipped, with noise; raises InvalidData for planar objects."""
         if planar:
-            raise InvalidData("a camera's noise is not planar; choose another noise for a planar object")
+            raise InvalidData("camera noise is in space; choose another model, or leave planar_noise out")
         flipped = (draws[..., 6] < ndtri(self.flips))[..., None, None]
         T = np.where(flipped, flipped_square(T_ref_part), T_ref_part)
         R_part_sight, std = self._directions(T)

@@ -22,7 +22,8 @@ class SimulationOptions:
         noise: one of `NOISE_MODELS` with its magnitudes.
         motion: key of `MOTIONS`: "walk", Algorithm 2's bounded random walk, or "smooth".
         root: "moving", perturbed at every step, or "static".
-        planar: a 2D object: placed, moved and watched in the world's xy plane.
+        planar: a 2D object: placed and moved in the world's xy plane. It is watched in space: a fit takes the noise for
+            alike in all directions.
         outliers: share of poses that are replaced by wrong ones.
         missing: share of poses that are not seen.
         rate_hz: frames a second.
@@ -30,6 +31,7 @@ class SimulationOptions:
         root_step_m: largest step of a moving root along each axis [m].
         root_step_rad: largest turn of a moving root about each axis [rad].
         known_noise: whether the log tells the covariance of its noise, as a good tracker does; else it is None.
+        planar_noise: whether what is seen of a planar object stays in the plane as well, as in the paper's 2D.
 
     Raises:
         InvalidData: for values that can't be, with those that can.
@@ -48,6 +50,7 @@ class SimulationOptions:
     root_step_m: float = 0.02
     root_step_rad: float = 0.05
     known_noise: bool = False
+    planar_noise: bool = False
 
     def __post_init__(self) -> None:
         check_count(self.frames, "frames", 1)
@@ -64,13 +67,15 @@ class SimulationOptions:
             check_magnitude(getattr(self, name), name, unit)
         if not self.rate_hz > 0:
             raise InvalidData("rate_hz is 0; want some frames a second")
-        if self.planar:
-            self._check_planar()
+        if self.planar_noise:
+            self._check_planar_noise()
         if self.known_noise and not math.isfinite(self.noise.variance):
             raise InvalidData(f"this {self.noise.name} noise has no variance that could be told; leave known_noise out")
 
-    def _check_planar(self) -> None:
+    def _check_planar_noise(self) -> None:
+        if not self.planar:
+            raise InvalidData("planar_noise is for planar objects; ask for planar too, or for neither")
         if self.noise.reference == "camera":
-            raise InvalidData(f"{self.noise.name} noise is not planar; choose another for a planar object")
+            raise InvalidData(f"{self.noise.name} noise is in space; choose another model, or leave planar_noise out")
         if self.known_noise:
-            raise InvalidData("noise in a plane has no covariance in space; leave known_noise out, or planar")
+            raise InvalidData("noise in a plane has no covariance in space; leave known_noise or planar_noise out")

@@ -65,7 +65,7 @@ def simulate_all(
     placed = place_objects(what.tree, T_world_root, q)
     bodies = np.stack([placed[body] for body in what.tree.bodies], axis=2)
     true = options.noise.viewed(bodies[:, :, what.body] @ T_body_part[:, None])
-    seen = degraded(options.noise.apply(true, noise, planar=options.planar), wrong, options)
+    seen = degraded(options.noise.apply(true, noise, planar=options.planar_noise), wrong, options)
     t_s = np.arange(options.frames) / options.rate_hz
     return tuple(_simulated(options, what.tree, t_s, true[i], seen[i], q[i], seed) for i, seed in enumerate(seeds))
 

@@ -178,6 +178,8 @@ def test_a_planar_object_stays_in_its_planes(motion: str, noise: str):
     options = SimulationOptions(
         frames=50, planar=True, inflation=1, motion=motion, noise=make_noise(noise, 0.01, 0.05), outliers=0.2
     )
+    in_space = simulate(load_tree("planar_linkage"), options, 9)
+    options = replace(options, planar_noise=True)
     made = simulate(load_tree("planar_linkage"), options, 9)
     for log in (made.log, made.truth):
         T = log.T_ref_part
@@ -185,6 +187,8 @@ def test_a_planar_object_stays_in_its_planes(motion: str, noise: str):
         np.testing.assert_allclose(T[..., 2, 3], 0, atol=1e-12)
         assert np.ptp(T[..., :2, 3], axis=0).min() > 1e-3
     assert not np.array_equal(made.log.T_ref_part, made.truth.T_ref_part)
+    np.testing.assert_array_equal(in_space.truth.T_ref_part, made.truth.T_ref_part)
+    assert np.all(in_space.log.T_ref_part[..., 2, 3] != 0)
 
 
 def test_what_is_not_planar_is_refused_with_the_joint_and_why():
@@ -198,8 +202,10 @@ def test_what_is_not_planar_is_refused_with_the_joint_and_why():
         simulate(hinged(door(T_parent_child_zero=se3.exp([0, 0, 0, 0.1, 0, 0]))), options)
     with pytest.raises(InvalidData, match=r"\(spherical\) moves in space"):
         simulate(hinged(door(type="spherical", axis_parent=None)), options)
-    with pytest.raises(InvalidData, match="camera noise is not planar"):
-        SimulationOptions(planar=True, noise=make_noise("camera", 0.001, 0.01))
+    with pytest.raises(InvalidData, match="camera noise is in space; choose another model, or leave planar_noise out"):
+        SimulationOptions(planar=True, planar_noise=True, noise=make_noise("camera", 0.001, 0.01))
+    with pytest.raises(InvalidData, match="planar_noise is for planar objects"):
+        SimulationOptions(planar_noise=True)
 
 
 def test_the_shares_of_wrong_and_missing_poses_are_those_that_were_asked_for():
@@ -323,7 +329,7 @@ def test_a_root_without_a_pose_is_refused():
         ({"rate_hz": 0.0}, "rate_hz is 0"),
         ({"nearby_m": -0.1}, "nearby_m is -0.1 m; want a finite number, 0 or more"),
         ({"root_step_rad": float("inf")}, "root_step_rad is inf rad"),
-        ({"planar": True, "known_noise": True}, "noise in a plane has no covariance in space"),
+        ({"planar": True, "planar_noise": True, "known_noise": True}, "noise in a plane has no covariance in space"),
     ],
 )
 def test_options_that_can_not_be_are_refused_with_those_that_can(options: dict[str, object], said: str):
