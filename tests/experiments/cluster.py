@@ -13,6 +13,8 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
+# Far more than it takes on a busy machine.
+END_S = 120.0
 ROOT = Path(__file__).parent.parent.parent
 
 
@@ -36,7 +38,10 @@ def running_cluster(workers: int = 2) -> Generator[Cluster, None, None]:
             yield Cluster(told["address"], program.pid, tuple(told["workers"]))
         finally:
             program.stdin.close()
-            program.wait(30)
+            try:
+                program.wait(END_S)
+            finally:
+                program.kill()
 
 
 def main() -> None:
