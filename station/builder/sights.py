@@ -34,7 +34,7 @@ NEAREST_M = 0.25
 MARGIN_CELLS = 1.0
 EXPOSURE_S = 0.008
 # What makes a view better where the same bodies are seen: all markers, then from their front.
-ALL_WEIGHT, FRONT_WEIGHT = 0.1, 0.02
+ALL_WEIGHT, FRONT_WEIGHT = 0.5, 0.1
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -198,4 +198,4 @@ def _score(draft: Draft, reason: NDArray[np.intp], tilt: FloatArray) -> float:
     part = np.array([marker.part for marker in draft.markers])
     any_seen = [well[:, part == name].any(axis=1).mean() for name in sorted(set(part.tolist()))]
     facing = float(np.mean(np.where(seen, np.cos(tilt), 0.0)))
-    return float(np.mean(any_seen)) + ALL_WEIGHT * float(seen.mean()) + FRONT_WEIGHT * facing
+    return float(np.mean(any_seen)) + ALL_WEIGHT * float(well.mean()) + FRONT_WEIGHT * facing
