@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -259,3 +260,11 @@ def test_a_tree_that_is_not_there_is_told_with_those_that_come_with_the_package(
     assert code == 1 and is_one_clear_error(err) and "no tree 'swivelchair'" in err and "swivel_chair" in err
     code, _, err = station("simulate", tmp_path, "--out", tmp_path / "poses.csv")
     assert code == 1 and is_one_clear_error(err) and "kinematics.json" in err
+
+
+def test_the_page_tells_every_option_that_there_is(station):
+    page = (Path(__file__).parents[1] / "docs" / "simulator.md").read_text("utf-8")
+    code, said, _ = station("simulate", "--help")
+    options = set(re.findall(r"^  (--[a-z-]+)", said, re.MULTILINE))
+    assert code == 0 and len(options) > 15
+    assert options <= set(re.findall(r"--[a-z-]+", page))

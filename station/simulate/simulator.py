@@ -17,8 +17,8 @@ from station.simulate.options import SimulationOptions
 from station.simulate.placing import Layout, check_planar, layout, place_objects
 from station.simulate.state_ranges import state_ranges
 
-# Of all repeats together, about 2 GB while they are made.
-MOST_POSES = 2_000_000
+# Of all repeats together, more than 1 GB while they are made.
+MOST_POSES = 1_000_000
 # Each purpose has random numbers of its own: a seed's motion is the same whatever the noise.
 STREAMS = ("mounts", "roots", "states", "noise", "degrading")
 
