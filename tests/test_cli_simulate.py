@@ -133,7 +133,7 @@ def test_a_file_that_is_there_is_kept_unless_forced(station, tmp_path: Path):
         (("--root", "flying"), "choose one of moving, static"),
         (("--outliers", "1.5"), "share of outliers is 1.5"),
         (("--missing", "-1"), "share of missing poses is -1.0"),
-        (("--seed", "-3"), "seed is -3; want a whole number, 0 or more"),
+        (("--seed", "-3"), "seed: have -3; want a whole number, 0 or more"),
         (("--inflation", "-3"), "inflation: have -3"),
         (("--planar",), "lamp: joint 'lean' (revolute): its axis is 0 1 0; want one along z"),
         (("--frames", 1_000_000), "poses at once"),
