@@ -1,0 +1,70 @@
+"""Drafts in files: opened, saved, and put aside beside their file while they are not saved yet."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from station.builder.documents import from_text, to_text, to_urdf_text
+from station.builder.draft import Draft
+from station.comparison_files import write_files
+from station.errors import InvalidData, InvalidFile, StationError
+from station.formats.text import read_text
+
+# What is put aside of `chair.json` is `.chair.json.unsaved`.
+ASIDE = ".unsaved"
+ENDINGS = (".json", ".urdf")
+
+
+def load_draft(path: Path) -> Draft:
+    """The draft in a kinematics.json or a URDF; raises InvalidFile for what is missing, torn or no tree."""
+    return from_text(read_text(path, "tree"), str(path))
+
+
+def save_draft(draft: Draft, path: Path) -> None:
+    """Write a draft as its file's ending says; an error leaves what was there before.
+
+    Raises:
+        InvalidData: for another ending than .json and .urdf.
+        StationError: for a file that can't be written.
+    """
+    ending = path.suffix.lower()
+    if ending not in ENDINGS:
+        raise InvalidData(f"'{path.name}' ends in '{ending}'; want {' or '.join(ENDINGS)}")
+    _write(path, to_text(draft) if ending == ".json" else to_urdf_text(draft))
+
+
+def keep_aside(draft: Draft, path: Path) -> None:
+    """Write a draft that isn't saved yet beside its file, from where `recovered` has it after a crash.
+
+    Raises:
+        StationError: for a file that can't be written.
+    """
+    _write(aside(path), to_text(draft))
+
+
+def recovered(path: Path) -> Draft | None:
+    """What was put aside of a file and not saved since; None if there is nothing, or nothing that can be read."""
+    kept = aside(path)
+    if not kept.exists():
+        return None
+    try:
+        return from_text(read_text(kept, "draft"), path.name)
+    except InvalidFile:
+        return None
+
+
+def forget_aside(path: Path) -> None:
+    """Delete what was put aside of a file, if there is anything: it was saved, or nobody wants it."""
+    aside(path).unlink(missing_ok=True)
+
+
+def aside(path: Path) -> Path:
+    """Where a file's draft is put aside."""
+    return path.with_name(f".{path.name}{ASIDE}")
+
+
+def _write(path: Path, text: str) -> None:
+    try:
+        write_files(path.parent, {path.name: text.encode()})
+    except OSError as error:
+        raise StationError(f"can't write {path}: {error.strerror}; name another file") from error
