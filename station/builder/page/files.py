@@ -2,22 +2,34 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from station.builder.desk import Desk
-from station.builder.documents import from_text, left_out_of_urdf, markers_text, to_text, to_urdf_text
+from station.builder.documents import (
+    DRAWN,
+    from_text,
+    from_tree,
+    left_out_of_urdf,
+    markers_text,
+    name_of,
+    to_text,
+    to_urdf_text,
+)
 from station.builder.draft import Draft, blank
-from station.builder.examples import examples, load_example
 from station.builder.page.page import Page
-from station.builder.rigs import to_rig_text
 from station.builder.stored import load_draft, save_draft
 from station.errors import InvalidFile
+from station.formats.trees import example_names, load_tree
 
 NEW = "new: one part"
 OPEN, SAVE = "Open", "Save"
-JSON, URDF, MARKERS, RIG = "kinematics.json", "URDF", "markers.toml", "rig.toml"
+DOWNLOADS: Mapping[str, tuple[str, Callable[[Draft], str]]] = {
+    "kinematics.json": (".json", to_text),
+    "URDF": (".urdf", to_urdf_text),
+    "markers.toml": ("_markers.toml", markers_text),
+}
 # No drawn tree's file is nearly as large, B.
 MOST_BYTES = 10_000_000
 
@@ -29,19 +41,21 @@ class Files:
         self._page = page
         gui = page.server.gui
         with gui.add_folder("Examples"):
-            self._example = gui.add_dropdown("Example", (NEW, *examples()))
+            self._example = gui.add_dropdown("Example", (NEW, *example_names()))
             gui.add_button("Open example").on_click(page.acting(self._open_example))
         with gui.add_folder("On the station's machine"):
             form = gui.add_form(None)
             with form:
-                self._path = gui.add_text("File", str(page.path), hint=".json or .urdf; relative to where it was started.")
-            form.on_submit(page.acting(lambda event: self._save(event)))
+                self._path = gui.add_text(
+                    "File", str(page.path), hint=".json or .urdf; relative to where it was started."
+                )
+            form.on_submit(page.acting(self._save))
             there = gui.add_button_group("", (OPEN, SAVE), hint="Enter in the field saves, too.")
             there.on_click(page.acting(self._there))
         with gui.add_folder("On this browser's machine"):
             self._upload = gui.add_upload_button("Upload kinematics.json or URDF")
             self._upload.on_upload(page.acting(self._open_upload))
-            here = gui.add_button_group("Download", (JSON, URDF, MARKERS, RIG))
+            here = gui.add_button_group("Download", tuple(DOWNLOADS))
             here.on_click(page.acting(self._download))
         self._shown = page.path
 
@@ -53,15 +67,15 @@ class Files:
 
     def _open_example(self, event: Any) -> None:
         name = self._example.value
-        draft = blank() if name == NEW else load_example(name)
-        self._open(event, draft, Path.cwd() / f"{draft.name}.json", saved=False)
+        draft = blank() if name == NEW else from_tree(load_tree(name), name)
+        self._open(event, draft, Path.cwd() / f"{draft.name}.json", in_file=False)
 
     def _there(self, event: Any) -> None:
         if event.target.value == SAVE:
             self._save(event)
         else:
             path = self._typed()
-            self._open(event, load_draft(path), path, saved=True)
+            self._open(event, load_draft(path), path, in_file=is_drawn(path))
 
     def _open_upload(self, event: Any) -> None:
         file = event.target.value
@@ -72,19 +86,24 @@ class Files:
         except UnicodeDecodeError:
             raise InvalidFile(f"{file.name} is no text; want a kinematics.json or a URDF") from None
         draft = from_text(text, file.name)
-        self._open(event, draft, Path.cwd() / f"{draft.name}.json", saved=False)
+        self._open(event, draft, Path.cwd() / f"{draft.name}.json", in_file=False)
 
-    def _open(self, event: Any, draft: Draft, path: Path, *, saved: bool) -> None:
+    def _open(self, event: Any, draft: Draft, path: Path, *, in_file: bool) -> None:
         """Open it, after a question where that would lose what isn't saved."""
 
         def open_now() -> None:
-            self._page.open(Desk.of(draft), path)
+            self._page.open(draft, path, in_file=in_file)
             self._page.tell(event.client, "Opened", f"{draft.name}: {len(draft.parts)} parts")
 
         if not self._page.desk.unsaved:
             open_now()
             return
-        self._ask(event, f"{self._page.path.name} has unsaved changes, which opening another loses.", "Open all the same", open_now)
+        self._ask(
+            event,
+            f"{self._page.path.name} has unsaved changes, which opening another loses.",
+            "Open all the same",
+            open_now,
+        )
 
     def _typed(self) -> Path:
         text = self._path.value.strip()
@@ -94,7 +113,7 @@ class Files:
 
     def _save(self, event: Any) -> None:
         path = self._typed()
-        known = path == self._page.path and self._page.desk.saved is not None
+        known = path == self._page.path and self._page.in_file
 
         def save_now() -> None:
             self._save_to(path, event.client)
@@ -106,24 +125,20 @@ class Files:
 
     def _save_to(self, path: Path, client: Any) -> None:
         page = self._page
-        save_draft(page.draft, path)
+        save_draft(replace(page.draft, name=name_of(path.name)), path)
         lost = left_out_of_urdf(page.draft) if path.suffix.lower() == ".urdf" else ()
         if lost:
-            page.tell(client, "Saved, but not all of it", f"a URDF has no {', no '.join(lost)}; save a .json to keep them")
+            page.tell(
+                client, "Saved, but not all of it", f"a URDF has no {', no '.join(lost)}; save a .json to keep them"
+            )
             return
-        page.forget()
-        page.path, page.desk = path, page.desk.kept()
+        page.saved_to(path)
         page.tell(client, "Saved", str(path))
 
     def _download(self, event: Any) -> None:
-        draft = self._page.draft
-        name, make = {
-            JSON: (f"{draft.name}.json", to_text),
-            URDF: (f"{draft.name}.urdf", to_urdf_text),
-            MARKERS: (f"{draft.name}_markers.toml", markers_text),
-            RIG: (f"{draft.name}_rig.toml", to_rig_text),
-        }[event.target.value]
-        event.client.send_file_download(name, make(draft).encode("utf-8"), save_immediately=True)
+        draft = replace(self._page.draft, name=name_of(self._page.path.name))
+        ending, make = DOWNLOADS[event.target.value]
+        event.client.send_file_download(draft.name + ending, make(draft).encode("utf-8"), save_immediately=True)
 
     def _ask(self, event: Any, question: str, yes: str, do: Callable[[], None]) -> None:
         """Do it if the person who asked for it says yes, in a window of that tab."""
@@ -139,3 +154,8 @@ class Files:
                 do()
 
         answers.on_click(self._page.acting(answer))
+
+
+def is_drawn(path: Path) -> bool:
+    """Whether a tree's file was written by the builder: there saving loses nothing, such as the scores of a fit."""
+    return load_tree(path).method.get("name") == DRAWN

@@ -48,7 +48,9 @@ class Gizmo:
             return
         if self._gizmo is None:
             self._size_m = size_m
-            self._gizmo = self._page.server.scene.add_transform_controls(f"{TREE}/gizmo", scale=size_m, depth_test=False)
+            self._gizmo = self._page.server.scene.add_transform_controls(
+                f"{TREE}/gizmo", scale=size_m, depth_test=False
+            )
             self._gizmo.on_update(self._drag)
         self._gizmo.wxyz, self._gizmo.position = pose
 

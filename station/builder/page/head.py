@@ -16,7 +16,9 @@ class Head:
         self._page = page
         gui = page.server.gui
         self._text = gui.add_markdown("")
-        self._steps = gui.add_button_group("Edit", (UNDO, REDO, LOOK), hint="Ctrl-Z undoes, Ctrl-Shift-Z does it again.")
+        self._steps = gui.add_button_group(
+            "Edit", (UNDO, REDO, LOOK), hint="Ctrl-Z undoes, Ctrl-Shift-Z does it again."
+        )
         self._steps.on_click(page.acting(self._step))
         gui.add_command(UNDO, hotkey="Z", modifier="cmd/ctrl").on_trigger(page.acting(self._undo))
         gui.add_command(REDO, hotkey="Z", modifier="cmd/ctrl+shift").on_trigger(page.acting(self._redo))
@@ -24,7 +26,7 @@ class Head:
     def refresh(self) -> None:
         """Say what is there now."""
         desk, draft = self._page.desk, self._page.draft
-        state = "**unsaved changes**" if desk.unsaved else "saved"
+        state = "**unsaved changes**" if desk.unsaved else "saved" if self._page.in_file else "in no file yet"
         counts = (_count(len(draft.parts), "part"), _count(len(draft.joints), "joint"))
         last = f"  \nLast: {desk.undo_what}." if desk.undo_what else ""
         text = f"**{self._page.path.name}** · {state}  \n{', '.join(counts)}{last}"

@@ -85,7 +85,9 @@ class Markers:
     def _set_part(self, event: Any) -> None:
         if self.selected is not None:
             part, marker = event.target.value, self.selected
-            self._page.edit(marking.change_marker(self._page.draft, marker, part=part), f"put marker {marker} on {part}")
+            self._page.edit(
+                marking.change_marker(self._page.draft, marker, part=part), f"put marker {marker} on {part}"
+            )
             self._select(marker)
 
     def _apply(self, event: Any) -> None:

@@ -37,17 +37,19 @@ class Page:
     Args:
         server: that shows it.
         desk: with the draft.
-        path: of its file, which needn't exist yet.
+        path: of its file.
+        in_file: whether the draft was read from there; otherwise the file needn't exist, and isn't overwritten unasked.
 
     Attributes:
         desk: with the draft; actions put another in its place.
         path: where the draft is saved, and beside which it is put aside until then.
+        in_file: whether the file there is this draft's.
         selected: the part that the controls are about.
         picture: of what is played or tried beside the draft; None of the draft alone.
     """
 
-    def __init__(self, server: ViserServer, desk: Desk, path: Path) -> None:
-        self.server, self.desk, self.path = server, desk, path
+    def __init__(self, server: ViserServer, desk: Desk, path: Path, *, in_file: bool) -> None:
+        self.server, self.desk, self.path, self.in_file = server, desk, path, in_file
         self.selected = desk.draft.tree.root
         self.picture: Callable[[Picture], Picture] = lambda picture: picture
         self.scene = Scene(server, self._clicked)
@@ -99,12 +101,19 @@ class Page:
         self.draft.check_part(part)
         self.selected = part
 
-    def open(self, desk: Desk, path: Path) -> None:
-        """Show another desk, and turn the cameras to it."""
-        forget_aside(self.path)
-        self.desk, self.path = desk, path
-        self.selected = desk.draft.tree.root
+    def open(self, draft: Draft, path: Path, *, in_file: bool) -> None:
+        """Show another draft, and turn the cameras to it; what was put aside of the last one goes."""
+        self.desk = Desk.of(self.draft)
+        self.put_aside()
+        self.desk, self.path, self.in_file = Desk.of(draft), path, in_file
+        self.selected = draft.tree.root
         self.look()
+
+    def saved_to(self, path: Path) -> None:
+        """The draft is in a file now, which is its own from now on."""
+        self.desk = self.desk.kept()
+        self.put_aside()
+        self.path, self.in_file = path, True
 
     def look(self) -> None:
         """Turn the cameras to all of the draft."""

@@ -120,7 +120,9 @@ class JointForm:
 
     def _set_type(self, event: Any) -> None:
         joint = self._selected_joint()
-        self._page.edit(edits.set_type(self._page.draft, joint.name, event.target.value), f"make {joint.name} {event.target.value}")
+        self._page.edit(
+            edits.set_type(self._page.draft, joint.name, event.target.value), f"make {joint.name} {event.target.value}"
+        )
 
     def _set_parent(self, event: Any) -> None:
         page, part = self._page, self._page.selected

@@ -18,7 +18,7 @@ from station.builder.page.scene import Picture
 from station.builder.playing import Play, start_play
 from station.builder.trial import Trial, TrialSettings
 from station.errors import StationError
-from station.simulate import NOISE_MODELS, WALKS
+from station.simulate import MOTIONS, NOISE_MODELS
 
 PLAY, PAUSE, STEP, STOP = "Play", "Pause", "Step", "Stop"
 # Between two frames that are played, s.
@@ -39,7 +39,7 @@ class Settings:
         hint = "Virtual trackers, rigid on each part, beside its own."
         self._inflation = gui.add_slider("Inflation", 0, MOST_INFLATION, 1, usual.inflation, hint=hint)
         self._noise = gui.add_dropdown("Noise model", tuple(NOISE_MODELS), usual.noise)
-        self._motion = gui.add_dropdown("Motion", tuple(WALKS), usual.motion)
+        self._motion = gui.add_dropdown("Motion", tuple(MOTIONS), usual.motion)
         self._frames = gui.add_number("Frames", usual.frames, min=2, max=MOST_FRAMES, step=1)
         self._seed = gui.add_number("Seed", usual.seed, min=0, step=1, hint="The same seed gives the same motion.")
         self._method = gui.add_dropdown("Method", ("station", "paper"), usual.method, hint="Of the fit.")
@@ -69,7 +69,6 @@ class Player:
         self._buttons.on_click(page.acting(self._order))
         self._text = gui.add_markdown("")
         self._play: Play | None = None
-        self._of: tuple[Draft, TrialSettings] | None = None
         self._timer: asyncio.TimerHandle | None = None
 
     @property
@@ -79,10 +78,13 @@ class Player:
 
     def refresh(self) -> None:
         """Say which frame is shown; another draft or other settings begin again."""
-        now = (self._page.draft, self._settings.now)
-        if self._play is not None and (self._of is None or now[0] is not self._of[0] or now[1] != self._of[1]):
-            self._begin(restart=True)
-        text = "Not playing." if self._play is None else f"Frame {self._play.frame}, seed {now[1].seed}."
+        draft, settings = self._page.draft, self._settings.now
+        if self._play is not None and self._play.settings != settings:
+            same = self._play.settings.seed == settings.seed
+            self._play = self._play.with_settings(settings) if same else start_play(draft, settings)
+        if self._play is not None and self._play.draft is not draft:
+            self._play = start_play(draft, settings)
+        text = "Not playing." if self._play is None else f"Frame {self._play.frame}, seed {settings.seed}."
         if text != self._text.content:
             self._text.content = text
 
@@ -104,18 +106,13 @@ class Player:
             self._pause()
             self._step()
         elif not self.running:
-            self._begin(restart=False)
             self._tick()
 
-    def _begin(self, *, restart: bool) -> None:
-        if self._play is None or restart:
-            self._of = (self._page.draft, self._settings.now)
-            self._play = start_play(*self._of)
-
     def _step(self) -> None:
+        """The first frame, or the next."""
         if self._play is None:
-            self._begin(restart=False)
-        elif self._play is not None:
+            self._play = start_play(self._page.draft, self._settings.now)
+        else:
             self._play = self._play.stepped()
 
     def _pause(self) -> None:
@@ -178,7 +175,7 @@ class Fitter:
         if self._trial is None:
             return ""
         stale = "" if self._of is self._page.draft else "*Of the tree before it was changed.*\n\n"
-        return f"{stale}**{self._trial.headline}**\n\n{self._trial.markdown()}"
+        return stale + self._trial.markdown()
 
     def _start(self, event: Any) -> None:
         if self._under_way is not None:

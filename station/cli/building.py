@@ -1,0 +1,63 @@
+"""The tree builder in the browser."""
+
+from __future__ import annotations
+
+import json
+import signal
+import threading
+from typing import Annotated
+
+import typer
+
+from station.cli.app import app
+from station.cli.options import Json
+from station.cli.show import say_next, warn
+
+HOST = "127.0.0.1"
+
+
+@app.command()
+def build(
+    tree: Annotated[
+        str | None,
+        typer.Argument(
+            metavar="[TREE]",
+            help="kinematics.json, URDF, a fit's folder, or a packaged tree's name such as swivel_chair; else one part.",
+            show_default=False,
+        ),
+    ] = None,
+    port: Annotated[
+        int | None,
+        typer.Option("--port", min=1, max=65535, help="Port of the page; else a free one.", show_default=False),
+    ] = None,
+    host: Annotated[
+        str, typer.Option("--host", help="Address to serve on; whoever reaches another than this may edit and save.")
+    ] = HOST,
+    browser: Annotated[bool, typer.Option("--browser/--no-browser", help="Open a browser on the page.")] = True,
+    as_json: Json = False,
+) -> None:
+    """Draw an articulated object in the browser, move it, and see whether a fit finds it.
+
+    Needs the extra 'gui'. The first line of standard output is the page's address. Runs until it is stopped with Ctrl-C
+    or SIGTERM; what isn't saved then is kept beside its file.
+    """
+    from station.commands import building
+
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background job has it ignored
+    with building.build(tree, host=host, port=port) as builder:
+        print(
+            json.dumps({"address": builder.address, "file": str(builder.path)}) if as_json else builder.address,
+            flush=True,
+        )
+        if builder.was_recovered:
+            warn(f"took up unsaved changes of {builder.path.name} of an earlier run; undo goes back to what was saved")
+        if host != HOST:
+            warn(f"whoever reaches {host} may edit this tree, and write files that you may write")
+        if browser and not building.open_browser(builder.address):
+            say_next(f"open {builder.address} in a browser; stop with Ctrl-C")
+        try:
+            threading.Event().wait()
+        finally:
+            left = builder.left()
+            if left is not None:
+                say_next(left)
