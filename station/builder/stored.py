@@ -4,20 +4,29 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from station.builder.documents import from_text, to_text, to_urdf_text
+from station.builder.documents import from_text, from_tree, name_of, to_text, to_urdf_text
 from station.builder.draft import Draft
 from station.comparison_files import write_files
 from station.errors import InvalidData, InvalidFile, StationError
 from station.formats.text import read_text
+from station.formats.trees import load_tree
 
 # What is put aside of `chair.json` is `.chair.json.unsaved`.
 ASIDE = ".unsaved"
 ENDINGS = (".json", ".urdf")
 
 
-def load_draft(path: Path) -> Draft:
-    """The draft in a kinematics.json or a URDF; raises InvalidFile for what is missing, torn or no tree."""
-    return from_text(read_text(path, "tree"), str(path))
+def load_draft(name_or_path: str | Path) -> Draft:
+    """The draft in a kinematics.json, a URDF or a fit's folder, or a packaged example by its name.
+
+    Raises:
+        InvalidFile: for what is missing, torn, no tree, or one that can't be drawn.
+    """
+    tree = load_tree(name_or_path)
+    try:
+        return from_tree(tree, name_of(str(name_or_path)))
+    except InvalidData as error:
+        raise InvalidFile(f"{name_or_path}: {error}") from None
 
 
 def save_draft(draft: Draft, path: Path) -> None:
