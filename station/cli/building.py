@@ -22,7 +22,7 @@ def build(
         str | None,
         typer.Argument(
             metavar="[TREE]",
-            help="kinematics.json, URDF, a fit's folder, or a packaged tree's name such as swivel_chair; else one part.",
+            help="kinematics.json, URDF, a fit's folder, or a packaged tree such as swivel_chair; else one part.",
             show_default=False,
         ),
     ] = None,
@@ -45,17 +45,17 @@ def build(
 
     signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background job has it ignored
     with building.build(tree, host=host, port=port) as builder:
-        print(
-            json.dumps({"address": builder.address, "file": str(builder.path)}) if as_json else builder.address,
-            flush=True,
-        )
-        if builder.was_recovered:
-            warn(f"took up unsaved changes of {builder.path.name} of an earlier run; undo goes back to what was saved")
-        if host != HOST:
-            warn(f"whoever reaches {host} may edit this tree, and write files that you may write")
-        if browser and not building.open_browser(builder.address):
-            say_next(f"open {builder.address} in a browser; stop with Ctrl-C")
         try:
+            if builder.was_recovered:
+                warn(
+                    f"took up unsaved changes of {builder.path.name} of an earlier run; undo goes back to what was saved"
+                )
+            if host != HOST:
+                warn(f"whoever reaches {host} may edit this tree, and write files that you may write")
+            about = {"address": builder.address, "file": str(builder.path)}
+            print(json.dumps(about) if as_json else builder.address, flush=True)
+            if not browser or not building.open_browser(builder.address):
+                say_next(f"open {builder.address} in a browser; Ctrl-C ends it")
             threading.Event().wait()
         finally:
             left = builder.left()

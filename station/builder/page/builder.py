@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import replace
 from pathlib import Path
 
 from station.builder.desk import Desk
-from station.builder.documents import from_tree, name_of
+from station.builder.documents import name_of
 from station.builder.draft import Draft, blank
 from station.builder.page.files import Files, is_drawn
 from station.builder.page.gizmo import Gizmo
@@ -21,7 +20,7 @@ from station.builder.page.scene import Picture
 from station.builder.page.server import address, serving
 from station.builder.page.trying import Fitter, Player, Settings
 from station.builder.stored import aside, load_draft, recovered
-from station.formats.trees import example_names, load_tree
+from station.formats.trees import example_names
 
 UNTITLED = "draft.json"
 
@@ -96,13 +95,10 @@ def opened(tree: str | None) -> tuple[Draft, Path, bool]:
     if tree is None:
         path = Path.cwd() / UNTITLED
         return blank(name_of(path.name)), path, False
-    if tree in example_names():
-        return from_tree(load_tree(tree), tree), Path.cwd() / f"{tree}.json", False
-    path = Path.cwd() / tree
-    if path.is_file():
-        return load_draft(path), path, is_drawn(path)
-    draft = from_tree(load_tree(tree))  # the folder of a fit, or an error that says what there is
-    return replace(draft, name=name_of(path.name)), Path.cwd() / f"{path.name}.json", False
+    draft, path = load_draft(tree), Path.cwd() / tree
+    if tree in example_names() or path.is_dir():
+        return draft, Path.cwd() / f"{path.name}.json", False
+    return draft, path, is_drawn(path)
 
 
 def _furnished(page: Page) -> Fitter:

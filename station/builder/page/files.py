@@ -10,7 +10,6 @@ from typing import Any
 from station.builder.documents import (
     DRAWN,
     from_text,
-    from_tree,
     left_out_of_urdf,
     markers_text,
     name_of,
@@ -67,7 +66,7 @@ class Files:
 
     def _open_example(self, event: Any) -> None:
         name = self._example.value
-        draft = blank() if name == NEW else from_tree(load_tree(name), name)
+        draft = blank() if name == NEW else load_draft(name)
         self._open(event, draft, Path.cwd() / f"{draft.name}.json", in_file=False)
 
     def _there(self, event: Any) -> None:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from station.builder import marking, placing
 from station.builder.draft import Draft
 from station.builder.page.page import Page
@@ -52,7 +54,7 @@ class Gizmo:
                 f"{TREE}/gizmo", scale=size_m, depth_test=False
             )
             self._gizmo.on_update(self._drag)
-        self._gizmo.wxyz, self._gizmo.position = pose
+        self._gizmo.wxyz, self._gizmo.position = np.array(pose[0]), np.array(pose[1])
 
     def _pose(self) -> tuple[tuple[float, ...], tuple[float, ...]] | None:
         page, draft, what = self._page, self._page.draft, self._choice.value

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -10,6 +10,10 @@ from station.builder import marking
 from station.builder.drawing import part_blocks
 from station.builder.page.controls import MM_PER_M, NumberField
 from station.builder.page.page import Page
+from station.builder.page.scene import rgb
+
+if TYPE_CHECKING:
+    from viser import GuiDropdownHandle
 
 NO_MARKER = "none"
 ADD, DELETE, MARK_ALL = "Add", "Delete", "Mark all parts"
@@ -23,7 +27,7 @@ class Markers:
         self._page = page
         gui = page.server.gui
         with gui.add_folder("Markers", expand_by_default=False):
-            self._marker = gui.add_dropdown("Marker", (NO_MARKER,))
+            self._marker: GuiDropdownHandle[str] = gui.add_dropdown("Marker", tuple[str, ...]((NO_MARKER,)))
             self._marker.on_update(page.acting(lambda _: None))
             self._change = gui.add_button_group("", (ADD, DELETE, MARK_ALL), hint="Added to the selected part.")
             self._change.on_click(page.acting(self._changed))
@@ -129,7 +133,7 @@ class Shape:
         self._middle.show((MM_PER_M * block.T_part_block[:3, 3]).tolist(), again=again)
         shown = (self._page.selected, block.colour)
         if self._of != shown:
-            self._colour.value = tuple(int(block.colour[k : k + 2], 16) for k in (1, 3, 5))
+            self._colour.value = rgb(block.colour)
         self._of = self._page.selected
 
     def _apply(self, event: Any) -> None:

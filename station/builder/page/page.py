@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Awaitable, Callable
+from collections.abc import Callable, Coroutine
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from viser import ClientHandle, ViserServer
 
 Action = Callable[[Any], None]
-Callback = Callable[[Any], Awaitable[None]]
+Callback = Callable[[Any], Coroutine[Any, Any, None]]
 # How long notifications stay, s.
 TOLD_S, REFUSED_S = 6.0, 20.0
 GREEN, RED = (47, 158, 68), (224, 49, 49)

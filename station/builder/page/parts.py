@@ -99,9 +99,12 @@ class JointForm:
                 self._parent.options = parents
             self._parent.value = joint.parent
         self._show_joint(joint, again)
-        xyz_m, rpy_rad = (None, None) if joint is None else placing.zero_numbers(draft, part)
-        self._place.show(None if xyz_m is None else np.multiply(xyz_m, MM_PER_M), again=again)
-        self._turn.show(None if rpy_rad is None else np.degrees(rpy_rad), again=again)
+        place, turn = None, None
+        if joint is not None:
+            xyz_m, rpy_rad = placing.zero_numbers(draft, part)
+            place, turn = np.multiply(xyz_m, MM_PER_M).tolist(), np.degrees(rpy_rad).tolist()
+        self._place.show(place, again=again)
+        self._turn.show(turn, again=again)
 
     def _show_joint(self, joint: Joint | None, again: bool) -> None:
         moves = joint is not None and joint.kind.states > 0

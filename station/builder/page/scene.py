@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Callable, Mapping, Sequence
+from collections.abc import Callable, Coroutine, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -24,6 +24,7 @@ TREE, MEASURED, FLOOR = "/tree", "/measured", "/floor"
 CELL_PX = 16
 # Of its side: how far a marker's picture is drawn before the place of the marker.
 LIFT = 0.02
+UP = np.array([0.0, 0.0, 1.0])
 # The camera looks from this direction, with this opening, from so many radii of what is seen.
 VIEW_FROM = np.array([1.0, -1.6, 0.9]) / np.linalg.norm([1.0, -1.6, 0.9])
 OPENING_RAD = np.radians(40.0)
@@ -65,7 +66,7 @@ class Scene:
         on_part: what a click on a part does, given viser's event and the part's name.
     """
 
-    def __init__(self, server: ViserServer, on_part: Callable[[Any, str], Awaitable[None]]) -> None:
+    def __init__(self, server: ViserServer, on_part: Callable[[Any, str], Coroutine[Any, Any, None]]) -> None:
         self._server, self._on_part = server, on_part
         self._nodes = Nodes()
         self.radius_m = LEAST_RADIUS_M
@@ -151,7 +152,7 @@ class Scene:
         def make(name: str) -> SceneNodeHandle:
             box = self._scene.add_box(
                 name,
-                color=_rgb(block.colour),
+                color=rgb(block.colour),
                 dimensions=tuple(block.size_m.tolist()),
                 wxyz=wxyz,
                 position=xyz,
@@ -168,8 +169,8 @@ class Scene:
         return name, Wanted(look, make)
 
     def _name(self, part: str, blocks: Sequence[Block]) -> tuple[str, Wanted]:
-        tops = [block.T_part_block[:3, 3] + [0.0, 0.0, block.size_m[2] / 2] for block in blocks]
-        top = max(tops, key=lambda p: p[2]) + [0.0, 0.0, NAME_RADII * self.radius_m] if tops else np.zeros(3)
+        top = max((block.T_part_block[:3, 3] + block.size_m / 2 * UP for block in blocks), key=lambda p: p[2])
+        top = top + NAME_RADII * self.radius_m * UP
         look = ("name", part, top.tobytes())
         return f"{_frame(part)}/name", Wanted(
             look, lambda name: self._scene.add_label(name, part, position=top, anchor="bottom-center")
@@ -197,7 +198,7 @@ class Scene:
         return name, Wanted(
             look,
             lambda name: self._scene.add_line_segments(
-                name, points, _rgb(line.colour), thickness=line.width, thickness_units="screen"
+                name, points, rgb(line.colour), thickness=line.width, thickness_units="screen"
             ),
         )
 
@@ -236,6 +237,7 @@ def _place(node: SceneNodeHandle, T: FloatArray) -> None:
     node.wxyz, node.position = wxyz, xyz
 
 
-def _rgb(colour: str) -> tuple[int, int, int]:
+def rgb(colour: str) -> tuple[int, int, int]:
+    """Red, green, blue of "#rrggbb", 0 to 255."""
     red, green, blue = (int(colour[k : k + 2], 16) for k in (1, 3, 5))
     return red, green, blue

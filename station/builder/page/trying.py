@@ -38,11 +38,11 @@ class Settings:
         self._turn = gui.add_slider("Noise [deg]", 0.0, MOST_NOISE_DEG, 0.01, turn)
         hint = "Virtual trackers, rigid on each part, beside its own."
         self._inflation = gui.add_slider("Inflation", 0, MOST_INFLATION, 1, usual.inflation, hint=hint)
-        self._noise = gui.add_dropdown("Noise model", tuple(NOISE_MODELS), usual.noise)
-        self._motion = gui.add_dropdown("Motion", tuple(MOTIONS), usual.motion)
+        self._noise = gui.add_dropdown("Noise model", tuple(NOISE_MODELS), initial_value=usual.noise)
+        self._motion = gui.add_dropdown("Motion", tuple(MOTIONS), initial_value=usual.motion)
         self._frames = gui.add_number("Frames", usual.frames, min=2, max=MOST_FRAMES, step=1)
         self._seed = gui.add_number("Seed", usual.seed, min=0, step=1, hint="The same seed gives the same motion.")
-        self._method = gui.add_dropdown("Method", ("station", "paper"), usual.method, hint="Of the fit.")
+        self._method = gui.add_dropdown("Method", ("station", "paper"), initial_value=usual.method, hint="Of the fit.")
 
     @property
     def now(self) -> TrialSettings:
