@@ -47,9 +47,7 @@ def build(
     with building.build(tree, host=host, port=port) as builder:
         try:
             if builder.was_recovered:
-                warn(
-                    f"took up unsaved changes of {builder.path.name} of an earlier run; undo goes back to what was saved"
-                )
+                warn(f"took up unsaved changes of {builder.path.name}; undo goes back to what was saved")
             if host != HOST:
                 warn(f"whoever reaches {host} may edit this tree, and write files that you may write")
             about = {"address": builder.address, "file": str(builder.path)}

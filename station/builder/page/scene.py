@@ -70,7 +70,7 @@ class Scene:
         self._server, self._on_part = server, on_part
         self._nodes = Nodes()
         self.radius_m = LEAST_RADIUS_M
-        self._scene.add_frame(TREE, show_axes=False)
+        self._tree = self._scene.add_frame(TREE, show_axes=False)
 
     @property
     def _scene(self) -> SceneApi:
@@ -80,9 +80,7 @@ class Scene:
         """Bring the scene up to date, in one step for those who look."""
         with self._server.atomic():
             self._nodes.show(dict(self._wanted(picture)))
-            tree = self._scene.get_handle_by_name(TREE)
-            assert tree is not None
-            _place(tree, picture.T_world_root)
+            _place(self._tree, picture.T_world_root)
             for part, (wxyz, xyz) in part_poses(picture.draft, picture.states).items():
                 node = self._nodes[_frame(part)]
                 node.wxyz, node.position = np.array(wxyz), np.array(xyz)
@@ -177,19 +175,18 @@ class Scene:
         )
 
     def _marker(self, draft: Draft, marker: Marker) -> tuple[str, Wanted]:
-        assert marker.T_part_marker is not None
         # viser's pictures have y down and are looked at from below; and this one mustn't lie in the face of a box.
         lifted = se3.translation([0.0, 0.0, LIFT * marker.size_m]) @ se3.pose(np.diag([1.0, -1.0, -1.0]), np.zeros(3))
-        xyz, wxyz = se3.to_xyz_wxyz(marker.T_part_marker @ lifted)
-        cells = np.pad(marker_cells(draft.dictionary, marker.id), 1)  # with the white around it
-        side_m = marker.size_m * len(cells) / (len(cells) - 2)
-        grey = np.where(cells, 0, 255).astype(np.uint8).repeat(CELL_PX, axis=0).repeat(CELL_PX, axis=1)
+        xyz, wxyz = se3.to_xyz_wxyz(marker.mount @ lifted)
 
         def make(name: str) -> SceneNodeHandle:
+            cells = np.pad(marker_cells(draft.dictionary, marker.id), 1)  # with the white around it
+            side_m = marker.size_m * len(cells) / (len(cells) - 2)
+            grey = np.where(cells, 0, 255).astype(np.uint8).repeat(CELL_PX, axis=0).repeat(CELL_PX, axis=1)
             image = np.repeat(grey[..., None], 3, axis=2)
             return self._scene.add_image(name, image, side_m, side_m, format="png", wxyz=wxyz, position=xyz)
 
-        look = (draft.dictionary, marker.id, marker.size_m, marker.T_part_marker.tobytes())
+        look = (draft.dictionary, marker.id, marker.size_m, marker.mount.tobytes())
         return f"{_frame(marker.part)}/marker_{marker.id}", Wanted(look, make)
 
     def _line(self, name: str, line: Line) -> tuple[str, Wanted]:
