@@ -16,6 +16,7 @@ import numpy as np
 
 from station.errors import InvalidData
 from station.kinematics import se3
+from station.kinematics.joints.base import wrapped
 from station.kinematics.tree import Joint, KinematicTree, connected_bodies
 from station.logs import FloatArray, JointLog, PoseLog
 
@@ -227,13 +228,14 @@ def _distance(point: FloatArray | None, true_point: FloatArray | None, true_axis
 
 def _state_rms(found: FloatArray, true: FloatArray, unit: str) -> float | None:
     """Of found less true states (T,), without the mean; of angles the whole turns are left out."""
-    difference: FloatArray = (found - true)[np.isfinite(found) & np.isfinite(true)]
+    known = np.isfinite(found - true)
+    difference = np.asarray(found[known] - true[known], dtype=np.float64)
     if not difference.size:
         return None
     if unit == "rad":
-        middle = math.atan2(float(np.mean(np.sin(difference))), float(np.mean(np.cos(difference))))
-        difference = np.remainder(difference - middle + np.pi, 2 * np.pi) - np.pi
-    return float(np.sqrt(np.mean((difference - difference.mean()) ** 2)))
+        middle = math.atan2(np.sin(difference).mean(), np.cos(difference).mean())
+        difference = wrapped(difference - middle)
+    return float(np.std(difference))
 
 
 def _mistakes(match: _Match, scores: Iterable[JointScore]) -> Iterable[str]:
