@@ -7,6 +7,8 @@ from typing import Any
 
 # viser's page sends one message in 50 ms, and of several meanwhile the last alone: nobody clicks faster.
 PAUSE = "() => new Promise(done => setTimeout(done, 120))"
+# The scene is drawn coarsely: by the processor, at that.
+COARSE = "/?fixedDpr=0.25"
 # A loaded machine draws the scene with its processor.
 PATIENCE_MS = 60_000
 
@@ -19,8 +21,8 @@ class Tab:
         said: what went wrong, as its console says.
     """
 
-    def __init__(self, browser: Any, url: str, width: int = 1200, height: int = 800) -> None:
-        self.context = browser.new_context(viewport={"width": width, "height": height}, accept_downloads=True)
+    def __init__(self, browser: Any, url: str, *, query: str = COARSE) -> None:
+        self.context = browser.new_context(viewport={"width": 1200, "height": 800}, accept_downloads=True)
         self.page = self.context.new_page()
         self.page.set_default_timeout(PATIENCE_MS)
         self.asked: list[str] = []
@@ -28,7 +30,7 @@ class Tab:
         self.page.on("request", lambda request: self.asked.append(request.url))
         self.page.on("websocket", lambda socket: self.asked.append(socket.url))
         self.page.on("pageerror", lambda error: self.said.append(str(error)))
-        self.page.goto(url)
+        self.page.goto(url + query)
         self.sees("in no file yet", "saved", "unsaved changes")
 
     def __enter__(self) -> Tab:

@@ -107,9 +107,9 @@ def _furnished(page: Page) -> Fitter:
     head = Head(page)
     tabs = gui.add_tab_group()
     with tabs.add_tab("Build"):
-        parts, form = Parts(page), JointForm(page)
-        markers, shape = Markers(page), Shape(page)
+        parts = Parts(page)
         gizmo = Gizmo(page, lambda: markers.selected)
+        form, markers, shape = JointForm(page), Markers(page), Shape(page)
     with tabs.add_tab("Move"):
         moving = Moving(page)
     with tabs.add_tab("Try"):

@@ -49,6 +49,7 @@ class Moving:
                     float(slider.high),
                     float(slider.step),
                     float(min(max(state, slider.low), slider.high)),
+                    marks=tuple((float(end), f"{end:.4g}") for end in (slider.low, slider.high)),
                 )
                 handle.on_update(self._page.acting(self._mover(slider)))
                 self._handles[slider.column] = handle

@@ -28,7 +28,7 @@ UP = np.array([0.0, 0.0, 1.0])
 # The camera looks from this direction, with this opening, from so many radii of what is seen.
 VIEW_FROM = np.array([1.0, -1.6, 0.9]) / np.linalg.norm([1.0, -1.6, 0.9])
 OPENING_RAD = np.radians(40.0)
-DISTANCE_RADII = 3.6
+DISTANCE_RADII = 3.2
 # Nothing is taken for smaller than this: a draft of one small part.
 LEAST_RADIUS_M = 0.05
 # Of the radius: the axes of the selected part and of measured poses, and how far above a part its name stands.
@@ -70,6 +70,8 @@ class Scene:
         self._server, self._on_part = server, on_part
         self._nodes = Nodes()
         self.radius_m = LEAST_RADIUS_M
+        # Without a graphics card shadows take most of the time that a picture takes.
+        self._scene.configure_default_lights(cast_shadow=False)
         self._tree = self._scene.add_frame(TREE, show_axes=False)
 
     @property
@@ -102,8 +104,8 @@ class Scene:
             FLOOR,
             width=float(10 * size_m * np.ceil(self.radius_m / size_m)),
             height=float(10 * size_m * np.ceil(self.radius_m / size_m)),
-            cell_size=float(size_m / 2),
-            section_size=float(5 * size_m / 2),
+            cell_size=float(size_m),
+            section_size=float(5 * size_m),
             cell_color=(222, 226, 230),
             section_color=(190, 196, 202),
             position=(float(middle[0]), float(middle[1]), height_m),
@@ -127,7 +129,7 @@ class Scene:
         selected = part == picture.selected
         blocks = part_blocks(draft, part)
         nodes = [(_frame(part), Wanted("frame", lambda name: self._scene.add_frame(name, show_axes=False)))]
-        nodes += [self._block(f"{_frame(part)}/{k}", block, selected) for k, block in enumerate(blocks)]
+        nodes += [self._block(f"{_frame(part)}/{k}", block) for k, block in enumerate(blocks)]
         if picture.names:
             nodes.append(self._name(part, blocks))
         if selected:
@@ -144,7 +146,7 @@ class Scene:
             )
         return nodes
 
-    def _block(self, name: str, block: Block, selected: bool) -> tuple[str, Wanted]:
+    def _block(self, name: str, block: Block) -> tuple[str, Wanted]:
         xyz, wxyz = se3.to_xyz_wxyz(block.T_part_block)
 
         def make(name: str) -> SceneNodeHandle:
@@ -154,7 +156,6 @@ class Scene:
                 dimensions=tuple(block.size_m.tolist()),
                 wxyz=wxyz,
                 position=xyz,
-                opacity=None if selected else 0.85,
             )
 
             @box.on_click
@@ -163,12 +164,11 @@ class Scene:
 
             return box
 
-        look = (block.part, block.colour, block.size_m.tobytes(), block.T_part_block.tobytes(), selected)
+        look = (block.part, block.colour, block.size_m.tobytes(), block.T_part_block.tobytes())
         return name, Wanted(look, make)
 
     def _name(self, part: str, blocks: Sequence[Block]) -> tuple[str, Wanted]:
-        top = max((block.T_part_block[:3, 3] + block.size_m / 2 * UP for block in blocks), key=lambda p: p[2])
-        top = top + NAME_RADII * self.radius_m * UP
+        top = blocks[0].T_part_block[:3, 3] + (blocks[0].size_m[2] / 2 + NAME_RADII * self.radius_m) * UP
         look = ("name", part, top.tobytes())
         return f"{_frame(part)}/name", Wanted(
             look, lambda name: self._scene.add_label(name, part, position=top, anchor="bottom-center")
