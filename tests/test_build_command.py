@@ -21,6 +21,7 @@ from station.builder.draft import blank
 from station.builder.stored import aside, keep_aside, load_draft, save_draft
 from station.commands import building
 from station.errors import StationError
+from station.formats.rig import parse_rig
 
 viser = pytest.importorskip("viser", reason="the extra 'gui' is not installed")
 
@@ -142,3 +143,14 @@ def test_a_draft_of_another_programs_is_not_overwritten_unasked(tmp_path, monkey
     assert opened("fitted.json")[1:] == (tmp_path / "fitted.json", False)
     with pytest.raises(StationError, match="packaged ones are"):
         opened("nothing")
+
+
+def test_a_rig_is_written_of_a_tree_and_no_page_is_opened(station, tmp_path):
+    out = tmp_path / "chair.toml"
+    code, said, err = station("build", "lamp", "--rig", out, "--json")
+    assert code == 0 and json.loads(said)["rig"] == str(out)
+    assert f"station run {out} explore" in err
+    assert parse_rig(out.read_text("utf-8"), "chair.toml").simulation is not None
+    again, _, complaint = station("build", "lamp", "--rig", out, "--by-hand")
+    assert again == 1 and "is there already" in complaint
+    assert station("build", "--rig", out)[0] == 2

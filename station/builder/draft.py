@@ -11,7 +11,7 @@ import numpy as np
 from station.errors import InvalidData
 from station.kinematics.tree import Joint, KinematicTree
 from station.logs import FloatArray, check_slugs, frozen_floats
-from station.perception.markers import Marker, MarkerTable, check_dictionary
+from station.perception.markers import DICTIONARY_SIZES, Marker, MarkerTable, check_dictionary
 from station.simulate.scene import check_poses
 
 COLOUR = re.compile(r"#[0-9a-fA-F]{6}")
@@ -141,6 +141,15 @@ class Draft:
                 return marker
         have = ", ".join(str(marker.id) for marker in self.markers) or "none"
         raise InvalidData(f"there is no marker {marker_id}; have {have}")
+
+    def free_id(self) -> int:
+        """The least id that no marker has; raises InvalidData where the dictionary has no more."""
+        taken = {marker.id for marker in self.markers}
+        size = DICTIONARY_SIZES[self.dictionary]
+        free = next((candidate for candidate in range(size) if candidate not in taken), None)
+        if free is None:
+            raise InvalidData(f"all {size} markers of {self.dictionary} are in use; delete some first")
+        return free
 
     def with_joint(self, joint: Joint) -> Draft:
         """The draft with a joint in the place of the one of the same name."""

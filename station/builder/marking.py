@@ -9,22 +9,16 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from station.builder.draft import FARTHEST_DRAWN_M, Block, Draft
-from station.builder.drawing import part_blocks, part_colour
+from station.builder.drawing import part_colour
 from station.builder.placing import Numbers, from_gizmo, to_gizmo
-from station.drawn import facing
+from station.builder.plates import front_mount, usual_size_m, with_plates
+from station.builder.sights import usual_camera
 from station.errors import InvalidData
 from station.kinematics import se3
 from station.logs import FloatArray
 from station.perception.markers import DICTIONARY_SIZES, Marker
 
 MARKER_SIZE_M = 0.05
-# Plates are turned to either side of the way to the camera, as on the packaged rigs: one of them always faces it.
-TURNED_RAD = np.radians(40.0)
-# From the front of a draft, which is seen along its root's y, z up, as the packaged rigs are.
-FRONT = np.array([0.0, -1.0, 0.0])
-UP = np.array([0.0, 0.0, 1.0])
-# Of the size of a marker: how far in front of a box its middle is, so that a turned plate's edge clears the box.
-CLEAR_SHARE = 0.6
 
 
 def add_marker(
@@ -48,11 +42,11 @@ def add_marker(
             positive, a mount that is no rigid motion.
     """
     draft.check_part(part)
-    marker_id = free_id(draft) if id is None else id
+    marker_id = draft.free_id() if id is None else id
     _check_id(draft, marker_id)
     if T_part_marker is None:
         _check_size(size_m)
-        mount = front_mounts(draft, part, size_m, 1)[0]
+        mount = front_mount(draft, part, size_m)
     else:
         mount = np.asarray(T_part_marker, dtype=np.float64)
     return replace(draft, markers=(*draft.markers, _marker(marker_id, part, size_m, mount)))
@@ -108,19 +102,22 @@ def place_marker(draft: Draft, id: int, wxyz: ArrayLike, xyz: ArrayLike, states:
     return replace(draft, markers=tuple(new if marker is old else marker for marker in draft.markers))
 
 
-def mark_all(draft: Draft, size_m: float = MARKER_SIZE_M) -> Draft:
-    """The draft with two markers, turned to either side, before the front of each part that has none.
+def mark_all(draft: Draft, size_m: float | None = None) -> Draft:
+    """The draft with two markers on each part that has none, where a camera in front of it sees them; see `plates`.
+
+    Args:
+        draft: any.
+        size_m: side of the black squares; one that suits the draft if None.
 
     Raises:
         InvalidData: for a size that isn't positive, and where the dictionary has too few.
     """
-    _check_size(size_m)
+    camera = usual_camera()
+    size = usual_size_m(draft, camera) if size_m is None else size_m
+    _check_size(size)
     marked = {marker.part for marker in draft.markers}
-    for part in draft.parts:
-        if part not in marked:
-            for mount in front_mounts(draft, part, size_m, 2):
-                draft = add_marker(draft, part, size_m, None, mount)
-    return draft
+    bare = tuple(part for part in draft.parts if part not in marked)
+    return with_plates(draft, bare, size, camera)
 
 
 def set_block(
@@ -154,36 +151,6 @@ def clear_blocks(draft: Draft, part: str) -> Draft:
     return replace(draft, blocks=tuple(block for block in draft.blocks if block.part != part))
 
 
-def free_id(draft: Draft) -> int:
-    """The least id that no marker has; raises InvalidData where the dictionary has no more."""
-    taken = {marker.id for marker in draft.markers}
-    size = DICTIONARY_SIZES[draft.dictionary]
-    for candidate in range(size):
-        if candidate not in taken:
-            return candidate
-    raise InvalidData(f"all {size} markers of {draft.dictionary} are in use; choose a larger dictionary")
-
-
-def front_mounts(draft: Draft, part: str, size_m: float, count: int) -> list[FloatArray]:
-    """`T_part_marker` (4, 4) of one marker before a part's front, or of two beside each other, turned outward.
-
-    The front is that of its largest box, as it is seen along the root's y with all joints at 0.
-    """
-    T_root_part = draft.tree.forward(np.zeros(len(draft.tree.columns)))[part]
-    block = max(part_blocks(draft, part), key=lambda each: float(np.prod(each.size_m)))
-    T_root_block = T_root_part @ block.T_part_block
-    half = 0.5 * np.abs(T_root_block[:3, :3]) @ block.size_m
-    middle = T_root_block[:3, 3] + (half @ np.abs(FRONT)) * FRONT
-    turns = [0.0] if count == 1 else [-TURNED_RAD, TURNED_RAD]
-    found: list[FloatArray] = []
-    for turn in turns:
-        normal = np.array([np.sin(turn), -np.cos(turn), 0.0])
-        clear = CLEAR_SHARE * size_m if count > 1 else 1e-3
-        aside = np.sign(turn) * 0.75 * size_m * np.array([1.0, 0.0, 0.0])
-        found.append(se3.inverse(T_root_part) @ facing(middle + aside + clear * FRONT, normal, UP))
-    return found
-
-
 def _marker(marker_id: int, part: str, size_m: float, mount: FloatArray) -> Marker:
     _check_size(size_m)
     return Marker(int(marker_id), part, float(size_m), mount)
@@ -200,4 +167,4 @@ def _check_id(draft: Draft, marker_id: int) -> None:
         raise InvalidData(f"there is no marker {marker_id} in {draft.dictionary}; its ids are 0 to {size - 1}")
     taken = next((marker for marker in draft.markers if marker.id == marker_id), None)
     if taken is not None:
-        raise InvalidData(f"marker {marker_id} is on '{taken.part}' already; the least free id is {free_id(draft)}")
+        raise InvalidData(f"marker {marker_id} is on '{taken.part}' already; the least free id is {draft.free_id()}")

@@ -39,7 +39,7 @@ def save_draft(draft: Draft, path: Path) -> None:
     ending = path.suffix.lower()
     if ending not in ENDINGS:
         raise InvalidData(f"'{path.name}' ends in '{ending}'; want {' or '.join(ENDINGS)}")
-    _write(path, to_text(draft) if ending == ".json" else to_urdf_text(draft))
+    write_text(path, to_text(draft) if ending == ".json" else to_urdf_text(draft))
 
 
 def keep_aside(draft: Draft, path: Path) -> None:
@@ -48,7 +48,7 @@ def keep_aside(draft: Draft, path: Path) -> None:
     Raises:
         StationError: for a file that can't be written.
     """
-    _write(aside(path), to_text(draft))
+    write_text(aside(path), to_text(draft))
 
 
 def recovered(path: Path) -> Draft | None:
@@ -72,7 +72,8 @@ def aside(path: Path) -> Path:
     return path.with_name(f".{path.name}{ASIDE}")
 
 
-def _write(path: Path, text: str) -> None:
+def write_text(path: Path, text: str) -> None:
+    """Write a file; an error, a StationError, leaves what was there before."""
     try:
         write_files(path.parent, {path.name: text.encode()})
     except OSError as error:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import signal
 import threading
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -34,6 +35,16 @@ def build(
         str, typer.Option("--host", help="Address to serve on; whoever reaches another than this may edit and save.")
     ] = HOST,
     browser: Annotated[bool, typer.Option("--browser/--no-browser", help="Open a browser on the page.")] = True,
+    rig: Annotated[
+        Path | None,
+        typer.Option(
+            "--rig",
+            metavar="OUT.toml",
+            help="Write a rig whose simulation is TREE, with a rendered camera, and open no page.",
+            show_default=False,
+        ),
+    ] = None,
+    by_hand: Annotated[bool, typer.Option("--by-hand", help="With --rig: moved by hand, without servos.")] = False,
     as_json: Json = False,
 ) -> None:
     """Draw an articulated object in the browser, move it, and see whether a fit finds it.
@@ -41,6 +52,9 @@ def build(
     Needs the extra 'gui'. The first line of standard output is the page's address. Runs until it is stopped with Ctrl-C
     or SIGTERM; what isn't saved then is kept beside its file.
     """
+    if rig is not None or by_hand:
+        _write_rig(tree, rig, by_hand=by_hand, as_json=as_json)
+        return
     from station.commands import building
 
     signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background job has it ignored
@@ -59,3 +73,17 @@ def build(
             left = builder.left()
             if left is not None:
                 say_next(left)
+
+
+def _write_rig(tree: str | None, out: Path | None, *, by_hand: bool, as_json: bool) -> None:
+    from station.commands import building
+
+    if tree is None or out is None:
+        raise typer.BadParameter("a rig is made with --rig OUT.toml of a TREE; name both")
+    remarks = building.write_rig(tree, out, by_hand=by_hand)
+    if as_json:
+        print(json.dumps({"rig": str(out), "remarks": remarks}))
+    for remark in remarks:
+        warn(remark)
+    capture = f"station capture {out} --hand --out DIR" if by_hand else f"station run {out} explore --out DIR"
+    say_next(f"rig           {out}", f"capture it    {capture}")

@@ -6,6 +6,7 @@ import os
 import sys
 import webbrowser
 from contextlib import AbstractContextManager
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -33,6 +34,22 @@ def build(tree: str | None = None, *, host: str = HOST, port: int | None = None)
     from station.builder.page.builder import building
 
     return building(tree, host, chosen)
+
+
+def write_rig(tree: str, out: Path, *, by_hand: bool = False) -> tuple[str, ...]:
+    """Write a rig whose simulation is a tree, with a rendered camera; what may go wrong in a capture, in sentences.
+
+    Args:
+        tree: a kinematics.json or URDF, a fit's folder, or a packaged example's name.
+        out: a .toml that isn't there yet.
+        by_hand: without servos, for `capture --hand`.
+
+    Raises:
+        StationError: a tree that can't be read or can't be a rig, a file that is there or can't be written.
+    """
+    from station.builder.rigs import write_rig
+
+    return write_rig(tree, out, servos=not by_hand).remarks
 
 
 def open_browser(url: str) -> bool:

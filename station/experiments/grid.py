@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from itertools import pairwise, product
 
@@ -13,7 +13,7 @@ from station.errors import InvalidData
 from station.fit.options import METHODS
 from station.kinematics.tree import Joint, KinematicTree
 from station.logs import check_slugs
-from station.simulate import NOISE_MODELS, Noise, SimulationOptions, simulate
+from station.simulate import Noise, SimulationOptions, make_noise, simulate
 
 # Far more than anyone waits for; a slip of the keyboard.
 MOST_FITS = 1_000_000
@@ -21,6 +21,7 @@ MOST_FITS = 1_000_000
 SEED_BITS = 53
 # What the levels and repeats of a grid vary.
 VARIED = ("noise", "inflation")
+MAGNITUDES = ("translation_m", "rotation_rad")
 
 
 @dataclass(frozen=True)
@@ -98,6 +99,7 @@ class Grid:
         repeats: fits of each method, tree, noise level and inflation, each with its own motion and noise.
         seed: of the whole grid.
         noise_model: key of `NOISE_MODELS`.
+        noise_parameters: what else it can be told, by name, such as the freedom of "student"; None leaves the default.
         options: of all simulations; their noise and inflation are those of the levels.
 
     Raises:
@@ -111,6 +113,7 @@ class Grid:
     repeats: int = 4
     seed: int = 0
     noise_model: str = "uniform"
+    noise_parameters: Mapping[str, float | None] = field(default_factory=dict[str, float | None])
     options: SimulationOptions = field(default_factory=SimulationOptions)
 
     def __post_init__(self) -> None:
@@ -120,7 +123,8 @@ class Grid:
                 raise InvalidData(f"the grid has no {name}; want one or more")
         check_slugs([named.name for named in self.trees], "tree")
         _check_known(self.methods, METHODS, "method")
-        _check_known((self.noise_model,), NOISE_MODELS, "noise model")
+        parameters = {name: value for name, value in self.noise_parameters.items() if value is not None}
+        object.__setattr__(self, "noise_parameters", parameters)
         _check_levels(self.noise)
         _check_inflation(self.inflation)
         _check_whole(self.repeats, "repeats", 1)
@@ -150,7 +154,7 @@ class Grid:
 
     def noise_of(self, level: NoiseLevel) -> Noise:
         """The noise of a level."""
-        return NOISE_MODELS[self.noise_model](level.translation_m, level.rotation_rad)
+        return make_noise(self.noise_model, level.translation_m, level.rotation_rad, self.noise_parameters)
 
     def cells(self) -> tuple[Cell, ...]:
         """All cells, repeat after repeat, so that a sweep that was broken off tells something of all levels."""
@@ -172,7 +176,10 @@ class Grid:
 def told_options(options: SimulationOptions) -> dict[str, object]:
     """What of a simulation's options differs from what is usual, as JSON values; noise as its model and magnitudes."""
     usual = SimulationOptions()
-    told: dict[str, object] = {"noise": [options.noise.name, options.noise.translation_m, options.noise.rotation_rad]}
+    noise = options.noise
+    told: dict[str, object] = {"noise": [noise.name, noise.translation_m, noise.rotation_rad]}
+    more = {entry.name: getattr(noise, entry.name) for entry in fields(noise) if entry.name not in MAGNITUDES}
+    told |= {f"noise.{name}": value for name, value in more.items() if value != getattr(type(noise)(), name)}
     names = [entry.name for entry in fields(SimulationOptions) if entry.name != "noise"]
     return told | {name: getattr(options, name) for name in names if getattr(options, name) != getattr(usual, name)}
 
@@ -196,7 +203,7 @@ def _told_joint(joint: Joint) -> list[object]:
     return [joint.name, joint.type, joint.parent, joint.child, *where, zero, joint.pitch_m_per_rad, *range_]
 
 
-def _check_known(names: Sequence[str], choices: Sequence[str] | dict[str, type[Noise]], what: str) -> None:
+def _check_known(names: Sequence[str], choices: Sequence[str], what: str) -> None:
     for name in names:
         if name not in choices:
             raise InvalidData(f"{what} '{name}' is unknown; choose one of {', '.join(choices)}")

@@ -22,6 +22,7 @@ def grid_json(grid: Grid) -> str:
         "trees": [named.name for named in grid.trees],
         "methods": grid.methods,
         "noise_model": grid.noise_model,
+        "noise_parameters": grid.noise_parameters,
         "noise": [{"translation_m": level.translation_m, "rotation_rad": level.rotation_rad} for level in grid.noise],
         "inflation": grid.inflation,
         "repeats": grid.repeats,
@@ -54,6 +55,7 @@ def parse_grid(text: str, name: str, tree: Callable[[str], KinematicTree]) -> Gr
             repeats=told["repeats"],
             seed=told["seed"],
             noise_model=told["noise_model"],
+            noise_parameters=told["noise_parameters"],
             options=SimulationOptions(**told["simulation"]),
         )
     except (ValueError, KeyError, TypeError, AttributeError, InvalidData) as error:
@@ -70,7 +72,7 @@ def grid_changes(before: Grid, after: Grid) -> str | None:
         lost = _lost(getattr(before, name), getattr(after, name))
         if lost:
             return f"its {name} {', '.join(map(_level_text, lost))} is not in the new grid"
-    for name in ("seed", "noise_model"):
+    for name in ("seed", "noise_model", "noise_parameters"):
         if getattr(before, name) != getattr(after, name):
             return f"its {name} is {getattr(before, name)}, the new one's {getattr(after, name)}"
     was, wanted = _simulation(before.options), _simulation(after.options)

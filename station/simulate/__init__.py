@@ -6,23 +6,29 @@ import sys
 
 from station.callable_module import CallableModule
 from station.kinematics.tree import KinematicTree
+from station.simulate.camera_noise import CameraNoise
 from station.simulate.motions import MOTIONS, start_root, start_states, walk_root, walk_states
-from station.simulate.noise import NOISE_MODELS, GaussianNoise, Noise, UniformNoise
+from station.simulate.noise import GaussianNoise, Noise, StudentNoise, UniformNoise
+from station.simulate.noise_models import NOISE_MODELS, make_noise
 from station.simulate.options import ROOTS, SimulationOptions
 from station.simulate.placing import place_objects
-from station.simulate.simulator import Simulated, simulate_all
+from station.simulate.simulator import Simulated, check_movable, simulate_all
 from station.simulate.state_ranges import StateRanges, state_ranges
 
 __all__ = [
     "MOTIONS",
     "NOISE_MODELS",
     "ROOTS",
+    "CameraNoise",
     "GaussianNoise",
     "Noise",
     "Simulated",
     "SimulationOptions",
     "StateRanges",
+    "StudentNoise",
     "UniformNoise",
+    "check_movable",
+    "make_noise",
     "place_objects",
     "simulate",
     "simulate_all",

@@ -28,7 +28,7 @@ def degraded(T_ref_part: FloatArray, u: FloatArray, options: SimulationOptions) 
     found = T_ref_part.copy()
     wrong = u[..., 0] < options.outliers
     if wrong.any():
-        scale = np.repeat([OUTLIER_M, np.pi], 3) * (PLANAR if options.planar else 1.0)
+        scale = np.repeat([OUTLIER_M, np.pi], 3) * (PLANAR if options.planar_noise else 1.0)
         v, w = np.split((2 * u[wrong, 2:] - 1) * scale, 2, axis=-1)
         found[wrong] = found[wrong] @ se3.pose(se3.exp_so3(w), v)
     found[u[..., 1] < options.missing] = np.nan

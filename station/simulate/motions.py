@@ -37,12 +37,7 @@ def start_states(tree: KinematicTree, rng: np.random.Generator) -> FloatArray:
 def walk_states(tree: KinematicTree, q: FloatArray, rng: np.random.Generator) -> FloatArray:
     """(..., C) states one step on from q (..., C): lines 8-9 of Algorithm 2."""
     ranges = state_ranges(tree)
-    return walked(ranges, q, rng.uniform(-1.0, 1.0, np.shape(q)))
-
-
-def walked(ranges: StateRanges, q: FloatArray, u: FloatArray) -> FloatArray:
-    """(..., C) states one step on, for numbers u (..., C) from -1 to 1."""
-    return ranges.bounded(q + u * (STEP_SHARE * ranges.span))
+    return ranges.bounded(q + rng.uniform(-1.0, 1.0, np.shape(q)) * (STEP_SHARE * ranges.span))
 
 
 def start_root(rng: np.random.Generator, *, planar: bool = False) -> FloatArray:
@@ -86,18 +81,20 @@ def _walk_draws(rng: np.random.Generator, frames: int, columns: int) -> FloatArr
 
 
 def _walk_states(ranges: StateRanges, u: FloatArray, frames: int) -> FloatArray:
-    q = np.empty_like(u)
+    q = u * (STEP_SHARE * ranges.span)
     q[:, 0] = ranges.spread(u[:, 0])
-    for t in range(1, frames):  # each starts where the last ended
-        q[:, t] = walked(ranges, q[:, t - 1], u[:, t])
+    for t in range(1, frames):  # each step starts where the last ended
+        q[:, t] = ranges.bounded(q[:, t - 1] + q[:, t])
     return q
 
 
 def _walk_path(u: FloatArray, step: FloatArray, frames: int) -> FloatArray:
     T = se3.exp(u * step)
     T[:, 0] = np.eye(4)
-    for t in range(1, frames):  # each starts where the last ended
-        T[:, t] = T[:, t - 1] @ T[:, t]
+    joined = 1  # steps in each product so far: every round joins two products, so that few rounds make a long path
+    while joined < frames:
+        T[:, joined:] = T[:, :-joined] @ T[:, joined:]
+        joined *= 2
     return T
 
 

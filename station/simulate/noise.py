@@ -29,8 +29,6 @@ from station.logs import FloatArray
 
 # Of [v, w], what a planar motion has: x, y, and the turn about z.
 PLANAR = np.array([1.0, 1.0, 0.0, 0.0, 0.0, 1.0])
-# A position this near the camera's centre [m] has no line of sight; any will do.
-NO_SIGHT_M = 1e-9
 
 
 @dataclass(frozen=True)
@@ -48,8 +46,6 @@ class Noise(ABC):
     name: ClassVar[str]
     # The frame that poses are told in: "camera" for a model that depends on where the camera is.
     reference: ClassVar[str] = "world"
-    # How many random numbers a pose needs.
-    numbers: ClassVar[int] = 6
 
     translation_m: float = 0.001
     rotation_rad: float = 0.01
@@ -65,19 +61,28 @@ class Noise(ABC):
 
     @abstractmethod
     def draws(self, rng: np.random.Generator, shape: tuple[int, ...]) -> FloatArray:
-        """(*shape, numbers) random numbers for that many poses, which don't depend on the magnitudes."""
+        """(*shape, n) random numbers for that many poses; they don't depend on the magnitudes."""
 
+    @property
     @abstractmethod
     def variance(self) -> float:
-        """Of a draw, for magnitude 1; infinite if it has none."""
+        """Of each of the six numbers for magnitude 1; infinite if it has none."""
+
+    def unit_twists(self, draws: FloatArray) -> FloatArray:
+        """(..., 6) noise of magnitude 1 for draws (..., n)."""
+        return draws
+
+    def viewed(self, T_world_part: FloatArray) -> FloatArray:
+        """(..., T, K, 4, 4) poses in the frame that they are told in: `reference`."""
+        return T_world_part
 
     def apply(self, T_ref_part: FloatArray, draws: FloatArray, *, planar: bool = False) -> FloatArray:
-        """(..., 4, 4) poses with the noise of `draws` (..., numbers) on them; planar: in the part's xy plane alone."""
-        return T_ref_part @ se3.exp(draws * self.scale * (PLANAR if planar else 1.0))
+        """(..., 4, 4) poses with the noise of `draws` (..., n) on them; planar: in the part's xy plane alone."""
+        return T_ref_part @ se3.exp(self.unit_twists(draws) * self.scale * (PLANAR if planar else 1.0))
 
     def covariance(self, T_ref_part: FloatArray) -> FloatArray:
         """(..., 6, 6) of the right perturbation [m, rad] of poses (..., 4, 4)."""
-        return np.broadcast_to(np.diag(self.variance() * self.scale**2), (*T_ref_part.shape[:-2], 6, 6))
+        return np.broadcast_to(np.diag(self.variance * self.scale**2), (*T_ref_part.shape[:-2], 6, 6))
 
     def perturbed(self, T_ref_part: FloatArray, rng: np.random.Generator, *, planar: bool = False) -> FloatArray:
         """(..., 4, 4) the poses as a tracker sees them."""
@@ -93,11 +98,12 @@ class UniformNoise(Noise):
 
     name = "uniform"
 
-    def draws(self, rng: np.random.Generator, shape: tuple[int, ...]) -> FloatArray:
-        return rng.uniform(-1.0, 1.0, (*shape, self.numbers))
-
+    @property
     def variance(self) -> float:
         return 1 / 3
+
+    def draws(self, rng: np.random.Generator, shape: tuple[int, ...]) -> FloatArray:
+        return rng.uniform(-1.0, 1.0, (*shape, 6))
 
 
 @dataclass(frozen=True)
@@ -106,11 +112,45 @@ class GaussianNoise(Noise):
 
     name = "gaussian"
 
-    def draws(self, rng: np.random.Generator, shape: tuple[int, ...]) -> FloatArray:
-        return rng.standard_normal((*shape, self.numbers))
-
+    @property
     def variance(self) -> float:
         return 1.0
+
+    def draws(self, rng: np.random.Generator, shape: tuple[int, ...]) -> FloatArray:
+        return rng.standard_normal((*shape, 6))
+
+
+@dataclass(frozen=True)
+class StudentNoise(Noise):
+    """Student's t in se(3), of several variables: now and then a pose is far off in all six numbers.
+
+    The magnitudes are its scale for each axis: of a normal deviation over the root of chi-square by its freedom.
+
+    Attributes:
+        freedom: degrees of freedom, 1 or more; the fewer, the heavier the tails: no variance below 3, no mean at 1.
+
+    Raises:
+        InvalidData: for magnitudes or degrees of freedom that are none.
+    """
+
+    name = "student"
+
+    freedom: int = 3
+
+    def __post_init__(self) -> None:
+        Noise.__post_init__(self)
+        check_count(self.freedom, "degrees of freedom", 1)
+
+    @property
+    def variance(self) -> float:
+        return self.freedom / (self.freedom - 2) if self.freedom > 2 else math.inf
+
+    def draws(self, rng: np.random.Generator, shape: tuple[int, ...]) -> FloatArray:
+        return rng.standard_normal((*shape, 6 + self.freedom))
+
+    def unit_twists(self, draws: FloatArray) -> FloatArray:
+        """(..., 6): six normal deviations over the root of the mean square of the others."""
+        return draws[..., :6] / np.sqrt(np.mean(draws[..., 6:] ** 2, axis=-1, keepdims=True))
 
 
 def check_magnitude(value: float, what: str, unit: str) -> None:
@@ -121,4 +161,14 @@ def check_magnitude(value: float, what: str, unit: str) -> None:
         raise InvalidData(f"{what} is {value:g} {unit}; want a finite number, 0 or more")
 
 
-NOISE_MODELS: dict[str, type[Noise]] = {model.name: model for model in (UniformNoise, GaussianNoise)}
+def check_count(value: int, what: str, least: int) -> None:
+    """Raise InvalidData unless the value is a whole number and no less than the least."""
+    if isinstance(value, bool) or not isinstance(value, int) or value < least:
+        raise InvalidData(f"{what}: have {value!r}; want a whole number, {least} or more")
+
+
+def check_share(value: float, what: str) -> None:
+    """Raise InvalidData unless the value is a number from 0 to less than 1."""
+    wrong = isinstance(value, bool) or not isinstance(value, int | float | np.number)
+    if wrong or not 0 <= value < 1:
+        raise InvalidData(f"share of {what} is {value!r}; want a number from 0 to less than 1")

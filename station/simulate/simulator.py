@@ -17,6 +17,8 @@ from station.simulate.options import SimulationOptions
 from station.simulate.placing import Layout, check_planar, layout, place_objects
 from station.simulate.state_ranges import state_ranges
 
+# Of all repeats together, about 2 GB while they are made.
+MOST_POSES = 2_000_000
 # Each purpose has random numbers of its own: a seed's motion is the same whatever the noise.
 STREAMS = ("mounts", "roots", "states", "noise", "degrading")
 
@@ -49,23 +51,48 @@ def simulate_all(
         InvalidData: as `simulate`.
     """
     options = SimulationOptions() if options is None else options
-    ranges = state_ranges(tree)
-    if options.planar:
-        check_planar(tree)
+    _check_kinds(tree, options)
+    check_movable(tree, planar=options.planar)
     if not len(seeds):
         return ()
+    _check_size(len(seeds) * options.frames * len(tree.parts) * (1 + options.inflation))
     what = layout(tree, options.inflation)
     draws = [_draws(options, what, len(tree.columns), seed) for seed in seeds]
     roots, paths, states, mounts, noise, wrong = (np.stack(each) for each in zip(*draws, strict=True))
-    q = MOTIONS[options.motion].states(ranges, states, options.frames) @ what.turns.T
+    q = MOTIONS[options.motion].states(state_ranges(tree), states, options.frames) @ what.turns.T
     T_world_root = _roots(options, what, roots, paths)
     T_body_part = what.mounted(mounts, options.nearby_m, planar=options.planar)
     placed = place_objects(what.tree, T_world_root, q)
     bodies = np.stack([placed[body] for body in what.tree.bodies], axis=2)
-    true = bodies[:, :, what.body] @ T_body_part[:, None]
-    seen = degraded(options.noise.apply(true, noise, planar=options.planar), wrong, options)
+    true = options.noise.viewed(bodies[:, :, what.body] @ T_body_part[:, None])
+    seen = degraded(options.noise.apply(true, noise, planar=options.planar_noise), wrong, options)
     t_s = np.arange(options.frames) / options.rate_hz
     return tuple(_simulated(options, what.tree, t_s, true[i], seen[i], q[i], seed) for i, seed in enumerate(seeds))
+
+
+def _check_kinds(tree: object, options: object) -> None:
+    """Raise InvalidData for what would end confusingly: a name for a tree, a dict for options."""
+    if not isinstance(tree, KinematicTree):
+        raise InvalidData(
+            f"simulate wants a KinematicTree; have a {type(tree).__name__}\n"
+            "read one from a file, or a packaged one by its name, with station.load_tree"
+        )
+    if not isinstance(options, SimulationOptions):
+        raise InvalidData(f"options: have a {type(options).__name__}; want SimulationOptions(frames=100)")
+
+
+def check_movable(tree: KinematicTree, *, planar: bool = False) -> None:
+    """Raise InvalidData for a tree that can't be moved, or not in a plane: see `state_ranges`, `check_planar`."""
+    state_ranges(tree)
+    if planar:
+        check_planar(tree)
+
+
+def _check_size(poses: int) -> None:
+    if poses > MOST_POSES:
+        raise InvalidData(
+            f"{poses} poses at once; want {MOST_POSES} at most\nask for fewer frames, trackers, or repeats at a time"
+        )
 
 
 def _simulated(

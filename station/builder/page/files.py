@@ -18,6 +18,7 @@ from station.builder.documents import (
 )
 from station.builder.draft import Draft, blank
 from station.builder.page.page import Page
+from station.builder.rigs import to_rig
 from station.builder.stored import load_draft, save_draft
 from station.errors import InvalidFile
 from station.formats.trees import example_names, load_tree
@@ -28,6 +29,7 @@ DOWNLOADS: Mapping[str, tuple[str, Callable[[Draft], str]]] = {
     "kinematics.json": (".json", to_text),
     "URDF": (".urdf", to_urdf_text),
     "markers.toml": ("_markers.toml", markers_text),
+    "rig.toml": ("_rig.toml", lambda draft: to_rig(draft).text),
 }
 # No drawn tree's file is nearly as large, B.
 MOST_BYTES = 10_000_000
