@@ -17,6 +17,8 @@ from tests.browsers import SOFTWARE_3D, chromium
 from tests.builder_tab import Tab
 
 pytest.importorskip("viser", reason="the extra 'gui' is not installed")
+# Of a machine that draws with its processor and has other work: alone it takes a tenth of this.
+pytestmark = pytest.mark.timeout(600)
 
 # Part, its joint, type, limits, axis, its point [mm], the part's place [mm]: the upper half of a swivel chair.
 CHAIR = (

@@ -22,7 +22,7 @@ def build(
     tree: Annotated[
         str | None,
         typer.Argument(
-            metavar="[TREE]",
+            metavar="TREE",
             help="kinematics.json, URDF, a fit's folder, or a packaged tree such as swivel_chair; else one part.",
             show_default=False,
         ),
