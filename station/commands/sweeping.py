@@ -12,6 +12,7 @@ from statistics import median
 
 from station.errors import InvalidData
 from station.experiments import DaskCluster, Grid, NamedTree, NoiseLevel, Processes, Row, Sweep, Workers, run_sweep
+from station.experiments.store import CSV_FILE, PARQUET_FILE
 from station.formats.trees import load_tree
 from station.logs import SLUG
 
@@ -59,7 +60,7 @@ class SweepResult:
 
 
 def sweep(
-    out: Path,
+    out: str | PathLike[str],
     grid: Grid,
     *,
     workers: Workers | Executor | None = None,
@@ -81,8 +82,8 @@ def sweep(
     Raises:
         StationError: `out` is occupied; the workers can't be reached or die; what is done stays.
     """
-    done = run_sweep(grid, out, workers, force=force, progress=progress)
-    files = [path for path in (out / "sweep.csv", out / "sweep.parquet") if path.exists()]
+    done = run_sweep(grid, Path(out), workers, force=force, progress=progress)
+    files = [done.folder / name for name in (CSV_FILE, PARQUET_FILE)]
     return SweepResult(done, tuple(files))
 
 

@@ -180,7 +180,8 @@ class Store:
         """Write sweep.csv and sweep.parquet of all rows that there are; raises StationError where the disk is full."""
         import pyarrow.parquet as pq
 
-        rows = _ordered(self._rows, self.grid)
+        told, _ = _read_rows(self.folder, self.grid)  # what the disk has: a signal may have come between it and `_rows`
+        rows = _ordered(told, self.grid)
         if not rows:
             return
         try:
