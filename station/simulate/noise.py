@@ -31,6 +31,9 @@ from station.logs import FloatArray
 # Of [v, w], what a planar motion has: x, y, and the turn about z.
 PLANAR = np.array([1.0, 1.0, 0.0, 0.0, 0.0, 1.0])
 
+# Of any magnitude: with more, poses soon are no numbers.
+MOST = 1e6
+
 
 @dataclass(frozen=True)
 class Noise(ABC):
@@ -160,6 +163,8 @@ def check_magnitude(value: object, what: str, unit: str) -> None:
         raise InvalidData(f"{what} is {value!r}; want a number of {unit}, 0 or more")
     if not math.isfinite(value) or value < 0:
         raise InvalidData(f"{what} is {float(value):g} {unit}; want a finite number, 0 or more")
+    if value > MOST:
+        raise InvalidData(f"{what} is {float(value):g} {unit}; want {MOST:g} at most")
 
 
 def check_count(value: object, what: str, least: int) -> None:
