@@ -55,8 +55,7 @@ class SimulationOptions:
     def __post_init__(self) -> None:
         check_count(self.frames, "frames", 1)
         check_count(self.inflation, "inflation", 0)
-        if not isinstance(self.noise, Noise):
-            raise InvalidData(f"noise is {self.noise!r}; want a model such as UniformNoise(0.001, 0.01)")
+        _check_noise(self.noise)
         for name, choices in (("motion", tuple(MOTIONS)), ("root", ROOTS)):
             value = getattr(self, name)
             if value not in choices:
@@ -79,3 +78,8 @@ class SimulationOptions:
             raise InvalidData(f"{self.noise.name} noise is in space; choose another model, or leave planar_noise out")
         if self.known_noise:
             raise InvalidData("noise in a plane has no covariance in space; leave known_noise or planar_noise out")
+
+
+def _check_noise(noise: object) -> None:
+    if not isinstance(noise, Noise):
+        raise InvalidData(f"noise is {noise!r}; want a model such as UniformNoise(0.001, 0.01)")

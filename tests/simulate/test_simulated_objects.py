@@ -345,7 +345,7 @@ def test_a_seed_that_is_none_is_refused(seed: object):
 
 
 def test_more_than_fits_in_memory_is_refused_before_it_is_made():
-    with pytest.raises(InvalidData, match="40000000 poses at once; want 2000000 at most"):
+    with pytest.raises(InvalidData, match="40000000 poses at once; want 1000000 at most"):
         simulate(load_tree("lamp"), SimulationOptions(frames=10_000_000))
     with pytest.raises(InvalidData, match="poses at once"):
         simulate(load_tree("lamp"), SimulationOptions(inflation=10**9))
