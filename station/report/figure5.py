@@ -11,7 +11,17 @@ from station.experiments import NoiseLevel, Sweep, simulated
 from station.kinematics.tree import Joint, KinematicTree
 from station.report.axis_error_figure import axis_error_figure
 from station.report.drawings import png, svg
-from station.report.joint_attempts import FITTED, MEASURED, TRUE, attempt_of, best_row, draw_attempt, joint_row
+from station.report.joint_attempts import (
+    FITTED,
+    MEASURED,
+    TRUE,
+    attempt_of,
+    attempt_text,
+    best_row,
+    draw_attempt,
+    joint_row,
+    joints_text,
+)
 from station.report.space_figure import draw_space
 from station.report.structure_figure import structure_figure
 from station.report.style import WIDTH_IN, styled
@@ -22,7 +32,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-HEAD_IN, TREE_IN, TITLE_IN, ROW_IN, FOOT_IN = 0.4, 2.9, 0.3, 2.6, 0.5
+HEAD_IN, TREE_IN, TITLE_IN, ROW_IN, TEXT_IN, FOOT_IN = 0.4, 2.9, 0.22, 2.95, 0.5, 0.5
 LEFT, RIGHT, GAP = 0.045, 0.99, 0.015
 WORDS = ("low noise", "middle noise", "high noise")
 FIGURES: dict[str, Callable[[Sweep], Figure]] = {
@@ -73,15 +83,16 @@ def figure5(sweep: Sweep) -> Figure:
         box = (LEFT, 1 - (HEAD_IN + TREE_IN) / height_in, RIGHT - LEFT, TREE_IN / height_in)
         _draw_tree(figure.add_axes(box), sweep, name, tree)
         width = (RIGHT - LEFT - GAP * (len(levels) - 1)) / len(levels)
+        for column, (word, level) in enumerate(levels):
+            top = 1 - (HEAD_IN + TREE_IN + 0.1) / height_in
+            left = LEFT + column * (width + GAP)
+            figure.text(left, top, f"{word}: {level_text(level)}", va="top", weight="bold")
         for row, method in enumerate(methods):
             bottom = (FOOT_IN + ROW_IN * (len(methods) - 1 - row)) / height_in
-            for column, (word, level) in enumerate(levels):
-                place = (LEFT + column * (width + GAP), bottom, width, (ROW_IN - 0.08) / height_in)
-                axes = figure.add_axes(place)
-                _draw_panel(axes, sweep, method, level, (name, joint))
-                if row == 0:
-                    axes.set_title(f"{word}: {level_text(level)}", fontsize=9, loc="left", pad=4, weight="bold")
-            middle = bottom + ROW_IN / 2 / height_in
+            for column, (_, level) in enumerate(levels):
+                place = (LEFT + column * (width + GAP), bottom, width, (ROW_IN - TEXT_IN) / height_in)
+                _draw_panel(figure.add_axes(place), sweep, method, level, (name, joint))
+            middle = bottom + (ROW_IN - TEXT_IN) / 2 / height_in
             named = {"rotation": 90, "ha": "center", "va": "center", "weight": "bold"}
             figure.text(LEFT / 2, middle, f"method {method}", color=method_colour(method), **named)
         _legend(figure, height_in)
@@ -117,17 +128,21 @@ def _draw_tree(axes: Axes, sweep: Sweep, name: str, tree: KinematicTree) -> None
 
 def _draw_panel(axes: Axes, sweep: Sweep, method: str, level: NoiseLevel, of: tuple[str, Joint]) -> None:
     name, joint = of
-    row = best_row(sweep, method, level, name, joint.name)
+    inflation = min(sweep.grid.inflation)
+    rows = [row for row in rows_of(sweep, method, level=level, inflation=inflation) if row.cell.tree == name]
+    row = best_row(rows, joint.name)
     if row is None:
         axes.set_axis_off()
-        axes.text(0.5, 0.5, "no fit succeeded", transform=axes.transAxes, ha="center", va="center")
+        text = "no fit succeeded" if rows else "not fitted yet"
+        axes.text(0.5, 0.5, text, transform=axes.transAxes, ha="center", va="center")
         return
-    draw_attempt(axes, attempt_of(sweep, row, joint.name), joint)
-    rows = rows_of(sweep, method, level=level, inflation=row.cell.options.inflation)
-    same = [each for each in rows if each.cell.tree == name]
-    found = sum(bool(each.joints) and joint_row(each, joint.name).found_type == joint.type for each in same)
-    text = f"{joint.type} in {found} of {len(same)} repeats"
-    axes.text(0.98, 0.025, text, transform=axes.transAxes, ha="right", va="bottom", fontsize=8, zorder=8)
+    attempt = attempt_of(sweep, row, joint.name)
+    draw_attempt(axes, attempt, joint)
+    found = sum(bool(each.joints) and joint_row(each, joint.name).found_type == joint.type for each in rows)
+    text = (
+        f"{attempt_text(attempt)}; {joint.type} in {found} of {len(rows)} repeats\nall joints: {joints_text(attempt)}"
+    )
+    axes.set_title(text, fontsize=8, loc="left", pad=3, linespacing=1.25)
 
 
 def _legend(figure: Figure, height_in: float) -> None:

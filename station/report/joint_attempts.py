@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from station.experiments import JointRow, NoiseLevel, Row, Sweep, fitted, simulated
+from station.experiments import JointRow, Row, Sweep, fitted, simulated
 from station.kinematics import se3
 from station.kinematics.tree import Joint, KinematicTree
 from station.logs import FloatArray, PoseLog
 from station.report.style import LIGHT
-from station.report.sweep_levels import rows_of
 from station.report.view_direction import view_axes
 
 if TYPE_CHECKING:
@@ -51,14 +51,12 @@ class Attempt:
     joint: Joint | None
 
 
-def best_row(sweep: Sweep, method: str, level: NoiseLevel, tree: str, joint: str) -> Row | None:
+def best_row(rows: Sequence[Row], joint: str) -> Row | None:
     """The repeat that made the best of a joint: of its type, with the least error of the axis.
 
     Where none is of its type: one with the right structure, else one in which something joins its two bodies; of equals
-    the first. Of the least inflation that was swept.
+    the first. None if no fit succeeded.
     """
-    rows = rows_of(sweep, method, level=level, inflation=min(sweep.grid.inflation))
-    rows = [row for row in rows if row.cell.tree == tree and row.joints]
 
     def badness(row: Row) -> tuple[bool, float, bool, bool, int]:
         told = joint_row(row, joint)
@@ -67,7 +65,7 @@ def best_row(sweep: Sweep, method: str, level: NoiseLevel, tree: str, joint: str
         off = np.inf if error is None else error
         return told.found_type != told.true_type, off, not row.structure_correct, not joined, row.cell.repeat
 
-    return min(rows, key=badness, default=None)
+    return min((row for row in rows if row.joints), key=badness, default=None)
 
 
 def joint_row(row: Row, joint: str) -> JointRow:
@@ -100,17 +98,18 @@ def _relative(log: PoseLog, parent: str, child: str) -> FloatArray:
 
 
 def attempt_text(attempt: Attempt) -> str:
-    """What the joint was taken for, and all joints of the tree."""
+    """What the joint was taken for."""
     told, found = attempt.told, attempt.told.found_type
     if found is None:
-        first = f"no joint found for this {told.true_type} one"
-    elif found == "rigid":
-        first = "rigid: both parts taken for one body"
-    elif told.axis_error_deg is None:
-        first = found
-    else:
-        first = f"{found}, axis {told.axis_error_deg:.2g}° off"
-    return f"{first}\nall joints: {', '.join(each.found_type or 'none' for each in attempt.row.joints)}"
+        return "no joint between its bodies"
+    if found == "rigid":
+        return "rigid, one body of both"
+    return found if told.axis_error_deg is None else f"{found}, axis {told.axis_error_deg:.2g}° off"
+
+
+def joints_text(attempt: Attempt) -> str:
+    """What all joints of the tree were taken for, in the true tree's order."""
+    return ", ".join(joint.found_type or "none" for joint in attempt.row.joints)
 
 
 def draw_attempt(axes: Axes, attempt: Attempt, true: Joint) -> None:
@@ -118,7 +117,10 @@ def draw_attempt(axes: Axes, attempt: Attempt, true: Joint) -> None:
 
     The panel's limits are those of what was measured; circles and axes may leave it.
     """
-    axes.set_axis_off()
+    axes.set_xticks([])
+    axes.set_yticks([])
+    for spine in axes.spines.values():
+        spine.set(visible=True, color=LIGHT.faint)
     view = _view(true)
     points = attempt.measured[:, :3, 3] @ view[:2].T
     low, high = np.percentile(np.concatenate([points, attempt.true[:, :3, 3] @ view[:2].T]), PERCENTILES, axis=0)
@@ -130,16 +132,12 @@ def draw_attempt(axes: Axes, attempt: Attempt, true: Joint) -> None:
     if attempt.joint is not None and attempt.joint.kind.states == 1:
         _draw_joint(axes, attempt.joint, view, reach_m)
     _draw_scale(axes, reach_m)
-    note = {"transform": axes.transAxes, "fontsize": 8.0, "va": "top", "zorder": 8}
-    box = {"boxstyle": "round,pad=0.2", "fc": LIGHT.paper, "ec": "none", "alpha": 0.85}
-    axes.text(0.02, 0.985, attempt_text(attempt), bbox=box, **note)
 
 
 def _view(true: Joint) -> FloatArray:
-    """(3, 3) as `view_axes`: the true axis and the arm are seen sideways."""
-    arm = true.T_parent_child_zero[:3, 3]
+    """(3, 3) as `view_axes`: the true axis and two directions across it are seen from aside."""
     axis = UP if true.axis_parent is None else true.axis_parent
-    return view_axes(np.array([axis, arm, UP]), UP, None)
+    return view_axes(np.array([axis, axis, *np.linalg.svd(axis[None])[2][1:]]), UP, None)
 
 
 def _set_limits(axes: Axes, centre: FloatArray, reach_m: float) -> None:
@@ -168,7 +166,9 @@ def _draw_joint(axes: Axes, joint: Joint, view: FloatArray, reach_m: float) -> N
     if np.linalg.norm(way[0] - centre) < LARGEST_CIRCLE * reach_m and joint.type == "revolute":
         circle = joint.forward(np.linspace(0, 2 * np.pi, 181))[:, :3, 3]
         axes.plot(*(circle @ view[:2].T).T, color=FITTED, lw=0.9, ls=(0, (4, 2)), zorder=3.5)
-    ends = np.array([centre - AXIS_SHARE * reach_m * joint.axis_parent, centre + AXIS_SHARE * reach_m * joint.axis_parent])
+    ends = np.array(
+        [centre - AXIS_SHARE * reach_m * joint.axis_parent, centre + AXIS_SHARE * reach_m * joint.axis_parent]
+    )
     axes.plot(*(ends @ view[:2].T).T, color=FITTED, lw=1.4, ls=(0, (1, 1)), zorder=4)
     axes.plot(*(centre @ view[:2].T), "+", color=FITTED, ms=7, mew=1.4, zorder=4)
 

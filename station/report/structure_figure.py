@@ -6,14 +6,14 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from station.experiments import Row, Sweep
-from station.report.style import WIDTH_IN, styled
+from station.report.style import LIGHT, WIDTH_IN, styled
 from station.report.sweep_levels import conditions, label_levels, method_colour, rows_of, shifts
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-HEIGHT_IN = 3.6
+HEIGHT_IN = 3.3
 
 
 def structure_figure(sweep: Sweep) -> Figure:
@@ -29,7 +29,7 @@ def structure_figure(sweep: Sweep) -> Figure:
     grid = sweep.grid
     with styled():
         figure = Figure(figsize=(WIDTH_IN, HEIGHT_IN))
-        cells = figure.add_gridspec(1, len(grid.inflation), left=0.065, right=0.99, top=0.78, bottom=0.25, wspace=0.1)
+        cells = figure.add_gridspec(1, len(grid.inflation), left=0.065, right=0.99, top=0.8, bottom=0.24, wspace=0.1)
         first = None
         for column, inflation in enumerate(grid.inflation):
             axes = figure.add_subplot(cells[0, column], sharey=first)
@@ -40,8 +40,10 @@ def structure_figure(sweep: Sweep) -> Figure:
             first.set_ylabel("fits that are right [%]")
             first.set_ylim(-5, 105)
         looks = [Line2D([], [], color=method_colour(name), lw=2.0, label=f"method {name}") for name in grid.methods]
-        looks += [Line2D([], [], color="#1a1a1a", marker="o", ms=4, label="structure")]
-        looks += [Line2D([], [], color="#1a1a1a", ls="--", marker="s", mfc="white", ms=4, label="structure and types")]
+        looks += [Line2D([], [], color=LIGHT.ink, marker="o", ms=4, label="structure")]
+        looks += [
+            Line2D([], [], color=LIGHT.ink, ls="--", marker="s", mfc=LIGHT.paper, ms=4, label="structure and types")
+        ]
         figure.legend(handles=looks, loc="upper left", bbox_to_anchor=(0.06, 1.0), ncols=4, frameon=False, fontsize=8.5)
         figure.text(0.99, 0.02, conditions(sweep), ha="right", va="bottom", fontsize=7.5)
         return figure
@@ -58,7 +60,7 @@ def _draw_panel(axes: Axes, sweep: Sweep, inflation: int) -> None:
         solid = [_share(rows, [row.structure_correct for row in rows]) for rows in by_level]
         dashed = [_share(rows, [row.types_correct for row in rows]) for rows in by_level]
         axes.plot(x, solid, color=colour, marker="o", ms=4, lw=1.8)
-        axes.plot(x, dashed, color=colour, marker="s", mfc="white", ms=4, lw=1.2, ls="--")
+        axes.plot(x, dashed, color=colour, marker="s", mfc=LIGHT.paper, ms=4, lw=1.2, ls="--")
     label_levels(axes, levels)
     fits = str(min(counts)) if len(counts) == 1 else f"{min(counts)} to {max(counts)}"
     axes.set_title(f"inflation {inflation}: {fits} fits a point", fontsize=9, loc="left")

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 NONE = "none"
 # Above this percentage figures are written in white.
 DARK_ABOVE = 55
-CELL_IN, HEAD_IN, FOOT_IN = 0.42, 0.72, 1.0
+CELL_IN, HEAD_IN, FOOT_IN = 0.42, 0.66, 0.95
 
 
 def types_figure(sweep: Sweep) -> Figure:
@@ -91,9 +91,11 @@ def _draw_matrix(axes: Axes, counts: FloatArray, true: list[str], found: list[st
     axes.set_xticks(range(len(found)), found, rotation=40, ha="right", rotation_mode="anchor")
     axes.set_yticks(range(len(true)), true)
     axes.tick_params(length=0)
+    for spine in axes.spines.values():
+        spine.set(visible=True, color=LIGHT.faint)
     for (i, j), value in np.ndenumerate(percent):
         right = true[i] == found[j]
-        if counts[i, j] or right:
+        if counts[i, j] or (right and totals[i, 0]):
             colour = LIGHT.paper if value > DARK_ABOVE else LIGHT.ink
             weight = "bold" if right else "normal"
             axes.text(j, i, f"{value:.0f}", ha="center", va="center", fontsize=8.5, color=colour, weight=weight)
