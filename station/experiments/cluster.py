@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import time
+from concurrent.futures import CancelledError
 from contextlib import ExitStack
 from types import TracebackType
 from typing import TYPE_CHECKING, cast
@@ -16,8 +17,9 @@ if TYPE_CHECKING:
     from distributed import Client
 
 ADDRESS = re.compile(r"(tcp|tls|ws|wss|ucx)://[^\s/]+:\d+/?")
-# A scheduler that doesn't answer, and one that has no workers, is waited for so long, s.
-ANSWER_S, WORKERS_S = 5.0, 20.0
+# A scheduler that doesn't answer, one that has no workers, and workers that import what a fit needs (from a disk that
+# they share, say) are waited for so long, s.
+ANSWER_S, WORKERS_S, IMPORT_S = 5.0, 20.0, 120.0
 # Between two looks at how many workers there are, s: a cluster may grow and shrink.
 LOOK_EVERY_S = 5.0
 
@@ -105,7 +107,12 @@ class DaskCluster(Workers):
             ) from None
         self._slots, self._looked_s = self._threads(), time.monotonic()
         try:
-            self.executor.submit(versions).result(WORKERS_S)
+            self.executor.submit(versions).result(IMPORT_S)
+        except (TimeoutError, CancelledError):
+            raise StationError(
+                f"the workers of {self._address} answer nothing within {IMPORT_S:g} s: busy, or gone\n"
+                "see to them, or leave --executor out"
+            ) from None
         except Exception as error:
             raise StationError(
                 f"the workers of {self._address} can't fit: {_first_line(error)}\n"

@@ -59,7 +59,7 @@ def simulate_all(
     what = layout(tree, options.inflation)
     draws = [_draws(options, what, len(tree.columns), seed) for seed in seeds]
     roots, paths, states, mounts, noise, wrong = (np.stack(each) for each in zip(*draws, strict=True))
-    q = MOTIONS[options.motion].states(state_ranges(tree), states, options.frames) @ what.turns.T
+    q = MOTIONS[options.motion].states(state_ranges(tree), states, options.frames)
     T_world_root = _roots(options, what, roots, paths)
     T_body_part = what.mounted(mounts, options.nearby_m, planar=options.planar)
     placed = place_objects(what.tree, T_world_root, q)
