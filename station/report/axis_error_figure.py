@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 # Objects at each noise level and inflation that the bound is computed of: it differs little from one to the next.
 BOUND_REPEATS = 8
-ROW_IN, HEAD_IN, FOOT_IN = 2.3, 0.6, 0.8
+ROW_IN, HEAD_IN, FOOT_IN = 2.3, 0.6, 0.96
 LEAST_DEG = 1e-4
 Bounds = Mapping[tuple[str, NoiseLevel, int], list[FloatArray]]
 

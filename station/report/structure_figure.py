@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-HEIGHT_IN = 3.3
+HEIGHT_IN = 3.5
 
 
 def structure_figure(sweep: Sweep) -> Figure:
@@ -29,7 +29,7 @@ def structure_figure(sweep: Sweep) -> Figure:
     grid = sweep.grid
     with styled():
         figure = Figure(figsize=(WIDTH_IN, HEIGHT_IN))
-        cells = figure.add_gridspec(1, len(grid.inflation), left=0.065, right=0.99, top=0.8, bottom=0.24, wspace=0.1)
+        cells = figure.add_gridspec(1, len(grid.inflation), left=0.065, right=0.99, top=0.81, bottom=0.275, wspace=0.1)
         first = None
         for column, inflation in enumerate(grid.inflation):
             axes = figure.add_subplot(cells[0, column], sharey=first)

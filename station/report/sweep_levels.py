@@ -16,6 +16,8 @@ if TYPE_CHECKING:
 METHOD_COLOURS = {"paper": LIGHT.detected, "station": LIGHT.viewing}
 # Of the distance between two levels: how far the methods stand from each other, so that neither hides the other.
 METHOD_SHIFT = 0.12
+# What a label of two lines needs.
+LEAST_LABEL_IN = 0.5
 
 
 def level_text(level: NoiseLevel) -> str:
@@ -49,8 +51,14 @@ def rows_of(sweep: Sweep, method: str, *, level: NoiseLevel | None = None, infla
 
 
 def label_levels(axes: Axes, levels: Sequence[NoiseLevel]) -> None:
-    """The noise levels along x, evenly, each told in two lines."""
-    axes.set_xticks(range(len(levels)), [level_text(level).replace(", ", "\n") for level in levels])
+    """The noise levels along x, evenly, each told in two lines, or aslant in one where there is no room."""
+    figure = axes.get_figure(root=True)
+    width_in = axes.get_window_extent().width / (figure.dpi if figure else 1.0)
+    texts = [level_text(level) for level in levels]
+    if width_in / len(levels) >= LEAST_LABEL_IN:
+        axes.set_xticks(range(len(levels)), [text.replace(", ", "\n") for text in texts])
+    else:
+        axes.set_xticks(range(len(levels)), texts, rotation=50, ha="right", rotation_mode="anchor", fontsize=7.0)
     axes.set_xlim(-0.5, len(levels) - 0.5)
 
 
