@@ -26,7 +26,7 @@ from station.simulate import Noise, SimulationOptions, make_noise, simulate
 from station.tree_scores import score_tree
 from tests.benchmarks.arguments import each, parser, trials_of
 
-TREE, FRAMES = "drawer_cabinet", 200
+TREE, FRAMES = "lamp", 200
 LEVELS = ((0.002, 0.02), (0.01, 0.1))  # standard deviations for each axis, m and rad
 FREEDOM = 3
 DEPTH, TILT = 5.0, 3.0
