@@ -128,8 +128,23 @@ def exp_so3(w: ArrayLike) -> FloatArray:
 def _quaternion_wxyz(R: FloatArray) -> FloatArray:
     """Unit quaternions (..., 4), w first and not negative, of rotations (..., 3, 3).
 
-    The four rows of 4 q q^T are read off the matrix; the one with the largest diagonal entry has no cancellation.
+    The four rows of 4 q q^T are read off the matrix; the one with the largest diagonal entry has no cancellation. For
+    all turns of less than 120 degrees it is the first one.
     """
+    m = [[R[..., i, j] for j in range(3)] for i in range(3)]
+    w, x, y = m[2][1] - m[1][2], m[0][2] - m[2][0], m[1][0] - m[0][1]
+    d = [m[0][0], m[1][1], m[2][2]]
+    trace = d[0] + d[1] + d[2]
+    q = np.stack([1 + trace, w, x, y], axis=-1)
+    far = ~(trace >= np.maximum(np.maximum(d[0], d[1]), d[2]))
+    if far.any():
+        q[far] = _far_quaternion(R[far])
+    unit = _unit(q)
+    return np.where(unit[..., :1] < 0, -unit, unit)
+
+
+def _far_quaternion(R: FloatArray) -> FloatArray:
+    """(N, 4) of rotations (N, 3, 3) of any angle, not of unit length."""
     m = [[R[..., i, j] for j in range(3)] for i in range(3)]
     w, x, y = m[2][1] - m[1][2], m[0][2] - m[2][0], m[1][0] - m[0][1]
     xy, xz, yz = m[0][1] + m[1][0], m[0][2] + m[2][0], m[1][2] + m[2][1]
@@ -145,8 +160,7 @@ def _quaternion_wxyz(R: FloatArray) -> FloatArray:
     )
     best = np.argmax(np.diagonal(rows, axis1=-2, axis2=-1), axis=-1)[..., None, None]
     q: FloatArray = np.take_along_axis(rows, best, axis=-2)[..., 0, :]
-    unit = _unit(q)
-    return np.where(unit[..., :1] < 0, -unit, unit)
+    return q
 
 
 def log_so3(R: ArrayLike) -> FloatArray:
