@@ -33,8 +33,8 @@ MIN_FRAMES = 10
 FULL_SHARE = 0.25
 # Ratio of deviations: a rigid joint with so many times the noise that its parts have elsewhere is no rigid joint.
 MISFIT = 4.0
-# Pairs of which all are fitted with care.
-FEW_PAIRS = 6
+# Pairs of which all are fitted with care: with so few a first look costs more than it spares.
+FEW_PAIRS = 15
 # How much better than the first look a careful one may make a pair, in -2 log likelihood of a frame: on simulated trees
 # it is 0.5 at the median and 3.2 at most.
 SCREEN_MARGIN = 6.0

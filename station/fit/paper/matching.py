@@ -67,10 +67,11 @@ def _fitted(
     starts: Sequence[PaperJoint], T_parent_child: FloatArray, steps: PaperSteps
 ) -> list[tuple[PaperJoint, float]]:
     """Joints of the starts' type with the least sums of costs over frames (line 19), and these sums."""
+    kind: type[PaperJoint] = type(starts[0])
     found: list[tuple[PaperJoint, float]] = []
     for piece in pieces(*T_parent_child.shape[:2]):  # memory asks for pieces
         x = T_parent_child[piece]
-        joint = steps.optimiser(type(starts[0]).batch([starts[i] for i in piece.tolist()]), x, steps.cost)
+        joint = steps.optimiser(kind.batch([starts[i] for i in piece.tolist()]), x, steps.cost)
         costs, _ = steps.cost(joint.fk(joint.ik(x)), x)
         found += [(joint.take(i), total) for i, total in enumerate(costs.sum(axis=-1).tolist())]
     return found

@@ -1,8 +1,9 @@
 """The optimiser of Algorithm 1, line 19: what it is asked, and two that answer.
 
 The paper says no more than "standard function optimization algorithms". Both here follow the gradient (17) down from
-the starts of Algorithm 1. `scoring` goes by the curvature that the cost itself has, all pairs at once; `bfgs`, which
-learns a curvature from the gradients that it meets, takes twenty times as long to the same minima.
+the starts of Algorithm 1. `scoring` goes by the curvature that the cost itself has, all pairs at once; `bfgs` learns a
+curvature from the gradients that it meets, one pair after the other, and takes several times as long to the same
+minima.
 """
 
 from __future__ import annotations
@@ -30,9 +31,10 @@ Objective = Callable[[FloatArray], tuple[float, FloatArray]]
 Minimiser = Callable[[Objective, FloatArray], FloatArray]
 
 # A pair is settled when a step promises to lower its cost by less than this share of it, or of 1.
-SETTLED = 1e-7
-# Steps at most: most fits take 4 to 10; more along the valley of a hinge whose axis moves off to infinity.
-STEPS = 100
+SETTLED = 1e-12
+# Steps at most. Joints that explain a motion take 4 to 10, slides more along the valley in which o moves along u; types
+# that don't explain it take up to all of them.
+STEPS = 300
 # Damping is relative to the curvature's diagonal. Some parameters change nothing: it is never none.
 DAMPING_START, DAMPING_FALL, DAMPING_RISE, DAMPING_MIN, DAMPING_MAX = 1e-3, 0.1, 10.0, 1e-9, 1e9
 # Curvature along a number, as a share of the most along any of the joint's, that is no more than rounding.
