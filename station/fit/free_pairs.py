@@ -133,12 +133,12 @@ def _lasting(u: FloatArray, good: BoolArray) -> tuple[FloatArray, FloatArray, Fl
     order = np.argsort(~good, axis=-1, kind="stable")
     u, good = np.take_along_axis(u, order[..., None], axis=1), np.take_along_axis(good, order, axis=-1)
     count = good.sum(axis=-1)
-    lag = np.maximum(np.rint(LAG * count), 1.0).astype(np.intp)
-    later = np.arange(u.shape[1]) + lag[:, None]
-    both = later < count[:, None]
+    lag: NDArray[np.intp] = np.maximum(np.rint(LAG * count), 1.0).astype(np.intp)
+    later: NDArray[np.intp] = np.arange(u.shape[1], dtype=np.intp) + lag[:, None]
+    both: BoolArray = later < count[:, None]
     u, pairs = np.where(good[..., None], u, 0.0), np.maximum(count - lag, 1)
     later_u = np.take_along_axis(u, np.where(both, later, 0)[..., None], axis=1)
-    lasting = np.einsum("pt,pti,pti->p", both, u, later_u) / (3 * pairs)
+    lasting = np.einsum("pt,pti,pti->p", both.astype(np.float64), u, later_u) / (3 * pairs)
     whole = np.sum(u**2, axis=(1, 2)) / (3 * np.maximum(count, 1))
     known = (count > lag) & (whole > 0)
     share = np.where(known, lasting / np.where(known, whole, 1.0), 0.0)

@@ -213,12 +213,11 @@ def residual_jacobian(residual: FloatArray) -> FloatArray:
 def stepped_frames(joint: JointType, frames: JointFrames, step: FloatArray) -> JointFrames:
     """Frames moved by parameter steps (..., n): those of T_parent_axis, of T_axis_child, of the form."""
     split, end = len(joint.axis_freedoms), len(joint.axis_freedoms) + len(joint.child_freedoms)
-    xi_axis, xi_child = np.zeros((*step.shape[:-1], 6)), np.zeros((*step.shape[:-1], 6))
-    xi_axis[..., list(joint.axis_freedoms)] = step[..., :split]
-    xi_child[..., list(joint.child_freedoms)] = step[..., split:end]
-    return JointFrames(
-        frames.T_parent_axis @ se3.exp(xi_axis), se3.exp(xi_child) @ frames.T_axis_child, frames.form + step[..., end:]
-    )
+    twists = np.zeros((2, *step.shape[:-1], 6))
+    twists[0][..., list(joint.axis_freedoms)] = step[..., :split]
+    twists[1][..., list(joint.child_freedoms)] = step[..., split:end]
+    of_axis, of_child = se3.exp(twists)
+    return JointFrames(frames.T_parent_axis @ of_axis, of_child @ frames.T_axis_child, frames.form + step[..., end:])
 
 
 def small_inverse(S: FloatArray) -> FloatArray:

@@ -70,8 +70,9 @@ def _fitted(
     kind: type[PaperJoint] = type(starts[0])
     found: list[tuple[PaperJoint, float]] = []
     for piece in pieces(*T_parent_child.shape[:2]):  # memory asks for pieces
-        x = T_parent_child[piece]
-        joint = steps.optimiser(kind.batch([starts[i] for i in piece.tolist()]), x, steps.cost)
+        rows: list[int] = piece.tolist()
+        x = T_parent_child[rows]
+        joint = steps.optimiser(kind.batch([starts[i] for i in rows]), x, steps.cost)
         costs, _ = steps.cost(joint.fk(joint.ik(x)), x)
         found += [(joint.take(i), total) for i, total in enumerate(costs.sum(axis=-1).tolist())]
     return found
