@@ -112,11 +112,12 @@ def mark_all(draft: Draft, size_m: float | None = None) -> Draft:
     Raises:
         InvalidData: for a size that isn't positive, and where the dictionary has too few.
     """
-    size = usual_size_m(draft) if size_m is None else size_m
+    camera = usual_camera()
+    size = usual_size_m(draft, camera) if size_m is None else size_m
     _check_size(size)
     marked = {marker.part for marker in draft.markers}
     bare = tuple(part for part in draft.parts if part not in marked)
-    return with_plates(draft, bare, size, usual_camera())
+    return with_plates(draft, bare, size, camera)
 
 
 def set_block(

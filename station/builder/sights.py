@@ -12,7 +12,7 @@ from calibration.intrinsics import CameraModel, project
 from station.builder.draft import Draft, limits_of
 from station.builder.drawing import part_blocks
 from station.drawn import look_at
-from station.foresight.detector import HIDDEN, OUTSIDE, SEEN, TURNED_AWAY, reasons_but_hidden
+from station.foresight.detector import HIDDEN, OBLIQUE_RAD, OUTSIDE, SEEN, TURNED_AWAY, reasons_but_hidden
 from station.foresight.hiding import NOBODY, hidden_by
 from station.foresight.scene import Block, Link, Mount, Scene
 from station.foresight.sight import CORNERS, sight
@@ -34,7 +34,7 @@ NEAREST_M = 0.25
 MARGIN_CELLS = 1.0
 EXPOSURE_S = 0.008
 # What makes a view better where the same bodies are seen: all markers, then from their front.
-ALL_WEIGHT, FRONT_WEIGHT = 0.1, 0.02
+ALL_WEIGHT, FRONT_WEIGHT = 0.5, 0.1
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -192,9 +192,10 @@ def _shares(draft: Draft, reason: NDArray[np.intp]) -> dict[int, float]:
 
 
 def _score(draft: Draft, reason: NDArray[np.intp], tilt: FloatArray) -> float:
-    """How often a body has any of its markers seen, the mean over bodies; a little for the others and for tilt."""
+    """How often a part has any of its markers seen well, the mean over parts; a little for the others and for tilt."""
     seen = reason == SEEN
+    well = seen & (tilt < OBLIQUE_RAD)
     part = np.array([marker.part for marker in draft.markers])
-    any_seen = [seen[:, part == name].any(axis=1).mean() for name in sorted(set(part.tolist()))]
+    any_seen = [well[:, part == name].any(axis=1).mean() for name in sorted(set(part.tolist()))]
     facing = float(np.mean(np.where(seen, np.cos(tilt), 0.0)))
-    return float(np.mean(any_seen)) + ALL_WEIGHT * float(seen.mean()) + FRONT_WEIGHT * facing
+    return float(np.mean(any_seen)) + ALL_WEIGHT * float(well.mean()) + FRONT_WEIGHT * facing

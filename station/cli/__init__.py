@@ -20,6 +20,7 @@ for _name in (
     "logs",
     "simulations",
     "sweep",
+    "building",
     "boards",
     "camera",
     "arm_calibration",

@@ -58,7 +58,7 @@ def sweep(
     repeats: Annotated[
         int | None, typer.Option("--repeats", help="Fits of each kind; 4 if not given.", show_default=False)
     ] = None,
-    frames: Annotated[int, typer.Option("--frames", help="Of each simulation.")] = 100,
+    frames: Annotated[int, typer.Option("--frames", help="Of each simulation.")] = 200,
     seed: Annotated[int, typer.Option("--seed", help="Of everything random.")] = 0,
     noise: Annotated[
         str, typer.Option("--noise", help="uniform, gaussian, student or camera; see station simulate.")
@@ -73,6 +73,9 @@ def sweep(
     motion: Annotated[str, typer.Option("--motion", help="walk, as in the paper, or smooth.")] = "walk",
     root: Annotated[str, typer.Option("--root", help="moving, as in the paper, or static.")] = "moving",
     planar: Annotated[bool, typer.Option("--planar", help="2D objects.")] = False,
+    planar_noise: Annotated[
+        bool, typer.Option("--planar-noise", help="2D objects' noise in their plane alone.")
+    ] = False,
     outliers: Annotated[float, typer.Option("--outliers", help="Share of poses that are wrong.")] = 0.0,
     missing: Annotated[float, typer.Option("--missing", help="Share of poses that are not seen.")] = 0.0,
     known_noise: Annotated[
@@ -117,6 +120,7 @@ def sweep(
             motion=motion,
             root=root,
             planar=planar,
+            planar_noise=planar_noise,
             outliers=outliers,
             missing=missing,
             known_noise=known_noise,

@@ -12,6 +12,7 @@ from statistics import median
 
 from station.errors import InvalidData
 from station.experiments import DaskCluster, Grid, NamedTree, NoiseLevel, Processes, Row, Sweep, Workers, run_sweep
+from station.experiments.store import CSV_FILE, PARQUET_FILE
 from station.formats.trees import load_tree
 from station.logs import SLUG
 
@@ -59,8 +60,8 @@ class SweepResult:
 
 
 def sweep(
-    out: Path,
-    grid: Grid,
+    out: str | PathLike[str],
+    grid: Grid | None = None,
     *,
     workers: Workers | Executor | None = None,
     force: bool = False,
@@ -73,7 +74,7 @@ def sweep(
 
     Args:
         out: new, empty, or of a sweep whose cells are all in the grid: it is gone on with.
-        grid: to be swept; `named_trees` and `noise_levels` make parts of it.
+        grid: to be swept; `named_trees` and `noise_levels` make parts of it; Experiment 1 if None.
         workers: who fits: `workers_at`, or any executor of concurrent.futures; processes of this machine if None.
         force: begin anew, whatever is in `out`.
         progress: told the number of rows that there are, and of all.
@@ -81,8 +82,9 @@ def sweep(
     Raises:
         StationError: `out` is occupied; the workers can't be reached or die; what is done stays.
     """
+    grid = Grid(named_trees(TREES)) if grid is None else grid
     done = run_sweep(grid, out, workers, force=force, progress=progress)
-    files = [path for path in (out / "sweep.csv", out / "sweep.parquet") if path.exists()]
+    files = [done.folder / name for name in (CSV_FILE, PARQUET_FILE)]
     return SweepResult(done, tuple(files))
 
 

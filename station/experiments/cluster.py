@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import logging
 import re
 import time
-from contextlib import ExitStack
+from collections.abc import Generator
+from concurrent.futures import CancelledError
+from contextlib import ExitStack, contextmanager
 from types import TracebackType
 from typing import TYPE_CHECKING, cast
 
@@ -16,8 +19,9 @@ if TYPE_CHECKING:
     from distributed import Client
 
 ADDRESS = re.compile(r"(tcp|tls|ws|wss|ucx)://[^\s/]+:\d+/?")
-# A scheduler that doesn't answer, and one that has no workers, is waited for so long, s.
-ANSWER_S, WORKERS_S = 5.0, 20.0
+# A scheduler that doesn't answer, one that has no workers, and workers that import what a fit needs (from a disk that
+# they share, say) are waited for so long, s.
+ANSWER_S, WORKERS_S, IMPORT_S = 5.0, 20.0, 120.0
 # Between two looks at how many workers there are, s: a cluster may grow and shrink.
 LOOK_EVERY_S = 5.0
 
@@ -76,6 +80,7 @@ class DaskCluster(Workers):
             ) from None
         self._inside = ExitStack()
         self._inside.enter_context(config.set({"distributed.comm.timeouts.connect": ANSWER_S}))
+        self._inside.enter_context(_silent(logging.getLogger("distributed.client")))
         try:
             self._client = Client(self._address, timeout=ANSWER_S, set_as_default=False)
         except (OSError, TimeoutError, ValueError) as error:
@@ -105,7 +110,12 @@ class DaskCluster(Workers):
             ) from None
         self._slots, self._looked_s = self._threads(), time.monotonic()
         try:
-            self.executor.submit(versions).result(WORKERS_S)
+            self.executor.submit(versions).result(IMPORT_S)
+        except (TimeoutError, CancelledError):
+            raise StationError(
+                f"the workers of {self._address} answer nothing within {IMPORT_S:g} s: busy, or gone\n"
+                "see to them, or leave --executor out"
+            ) from None
         except Exception as error:
             raise StationError(
                 f"the workers of {self._address} can't fit: {_first_line(error)}\n"
@@ -118,6 +128,17 @@ class DaskCluster(Workers):
             self._client.close(timeout=ANSWER_S)
             self._client = None
             self._inside.close()
+
+
+@contextmanager
+def _silent(logger: logging.Logger) -> Generator[None, None, None]:
+    """While it is entered, what goes wrong is told by our errors, and not by a logger's tracebacks as well."""
+    before = logger.level
+    logger.setLevel(logging.CRITICAL + 1)
+    try:
+        yield
+    finally:
+        logger.setLevel(before)
 
 
 def _first_line(error: BaseException) -> str:

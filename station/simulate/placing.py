@@ -53,14 +53,12 @@ class Layout:
         body: (K,) index into `tree.bodies` of each part.
         mounts: (K, 4, 4) `T_body_part` where it is told: named parts, and bodies that a rigid joint holds.
         near: (K,) index of the part near which a part is mounted at random; its own where its mount is told.
-        turns: (C, C) takes states of the tree as it was given to those of `tree`.
     """
 
     tree: KinematicTree
     body: np.ndarray
     mounts: FloatArray
     near: np.ndarray
-    turns: FloatArray
 
     @property
     def loose(self) -> np.ndarray:
@@ -110,7 +108,7 @@ def layout(tree: KinematicTree, inflation: int = 0) -> Layout:
     )
     told = np.stack([mounts[body_of[part]] for part in parts])
     index = np.array([folded.bodies.index(anchor_of[part]) for part in parts])
-    return Layout(folded, index, told, np.array(near), _turns(tree, mounts))
+    return Layout(folded, index, told, np.array(near))
 
 
 def check_planar(tree: KinematicTree) -> None:
@@ -154,18 +152,6 @@ def _folded(joint: Joint, anchors: Mapping[str, str], mounts: Mapping[str, Float
         point_parent_m=None if point is None else T[:3, :3] @ point + T[:3, 3],
         T_parent_child_zero=T @ joint.T_parent_child_zero,
     )
-
-
-def _turns(tree: KinematicTree, mounts: Mapping[str, FloatArray]) -> FloatArray:
-    """(C, C): a ball's rotation vector is told in its parent's axes, which a rigid joint may have turned."""
-    turns = np.eye(len(tree.columns))
-    start = 0
-    for joint in tree.movable:
-        end = start + joint.kind.states
-        if joint.kind.states > 1:
-            turns[start:end, start:end] = mounts[joint.parent][:3, :3]
-        start = end
-    return turns
 
 
 def _free_names(part: str, count: int, taken: set[str]) -> list[str]:
