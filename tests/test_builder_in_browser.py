@@ -54,8 +54,8 @@ def test_a_swivel_chair_is_built_by_clicks_tried_saved_and_read_again(browser: A
             unit = "mm" if kind == "prismatic" else "deg"
             tab.type("Name", part)
             tab.type("Joint name", joint)
-            tab.type(f"Lower limit [{unit}]", limits[0])
-            tab.type(f"Upper limit [{unit}]", limits[1])
+            tab.type(f"Lower [{unit}]", limits[0])
+            tab.type(f"Upper [{unit}]", limits[1])
             tab.type("Axis", *axis)
             if point is not None:
                 tab.type("Axis at [mm]", *point)

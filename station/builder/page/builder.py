@@ -117,7 +117,7 @@ def _furnished(page: Page) -> Fitter:
         player, fitter = Player(page, settings), Fitter(page, settings)
     with tabs.add_tab("Files"):
         files = Files(page)
-    page.add(head, parts, form, markers, shape, gizmo, moving, player, fitter, files)
+    page.add(head, parts, form, markers, shape, moving, player, gizmo, fitter, files)
 
     def seen(picture: Picture) -> Picture:
         return fitter.seen(player.seen(picture))
