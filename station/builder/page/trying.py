@@ -72,6 +72,14 @@ class Player:
         self._play: Play | None = None
         self._timer: asyncio.TimerHandle | None = None
 
+    def close(self) -> None:
+        """Stop, before the event loop does; from another thread."""
+
+        async def pause() -> None:
+            self._pause()
+
+        asyncio.run_coroutine_threadsafe(pause(), self._page.server.get_event_loop()).result()
+
     @property
     def running(self) -> bool:
         """Whether frames follow by themselves."""
