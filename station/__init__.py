@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from station.commands.exports import export
+    from station.commands.sweeping import sweep
     from station.commands.videos import track
     from station.compare import Comparison, compare
     from station.errors import StationError
@@ -46,6 +47,7 @@ __all__ = [
     "read_pose_log",
     "read_tree",
     "simulate",
+    "sweep",
     "track",
     "write_fit",
 ]
@@ -68,6 +70,7 @@ _HOME = {
     "read_fit": "station.fit_files",
     "read_pose_log": "station.formats.read",
     "read_tree": "station.fit_files",
+    "sweep": "station.commands.sweeping",
     "track": "station.commands.videos",
     "write_fit": "station.fit_files",
 }

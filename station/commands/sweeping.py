@@ -61,7 +61,7 @@ class SweepResult:
 
 def sweep(
     out: str | PathLike[str],
-    grid: Grid,
+    grid: Grid | None = None,
     *,
     workers: Workers | Executor | None = None,
     force: bool = False,
@@ -69,12 +69,12 @@ def sweep(
 ) -> SweepResult:
     """Fit all cells of a grid, or those that a folder doesn't have yet, and write what came of them.
 
-    Writes sweep.csv, sweep.parquet and figure5.png and .svg; see `station.experiments.store` for the rest. The rows
-    don't depend on who fits them or when.
+    Writes sweep.csv, sweep.parquet, figure5.png and .svg, and three figures more (`station.report.figure5`); see
+    `station.experiments.store` for the rest. The rows don't depend on who fits them or when.
 
     Args:
         out: new, empty, or of a sweep whose cells are all in the grid: it is gone on with.
-        grid: to be swept; `named_trees` and `noise_levels` make parts of it.
+        grid: to be swept; `named_trees` and `noise_levels` make parts of it; Experiment 1 if None.
         workers: who fits: `workers_at`, or any executor of concurrent.futures; processes of this machine if None.
         force: begin anew, whatever is in `out`.
         progress: told the number of rows that there are, and of all.
@@ -82,9 +82,12 @@ def sweep(
     Raises:
         StationError: `out` is occupied; the workers can't be reached or die; what is done stays.
     """
-    done = run_sweep(grid, Path(out), workers, force=force, progress=progress)
+    from station.report.figure5 import write_figure5
+
+    grid = Grid(named_trees(TREES)) if grid is None else grid
+    done = run_sweep(grid, out, workers, force=force, progress=progress)
     files = [done.folder / name for name in (CSV_FILE, PARQUET_FILE)]
-    return SweepResult(done, tuple(files))
+    return SweepResult(done, (*files, *write_figure5(done, done.folder)))
 
 
 def workers_at(executor: str, count: int | None = None) -> Workers:

@@ -19,6 +19,7 @@ import shutil
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
+from os import PathLike
 from pathlib import Path
 from types import TracebackType
 from typing import BinaryIO
@@ -67,8 +68,9 @@ class Sweep:
         return from_json(read_text(path, "found tree"), str(path)) if path.exists() else None
 
 
-def read_sweep(folder: Path) -> Sweep:
+def read_sweep(folder: str | PathLike[str]) -> Sweep:
     """Read a sweep, complete or not, while it is under way or when it is done; raises InvalidFile if there is none."""
+    folder = Path(folder)
     grid = _read_grid(folder)
     rows, torn = _read_rows(folder, grid)
     return Sweep(folder, grid, _ordered(rows, grid), (torn.notice,) if torn else ())

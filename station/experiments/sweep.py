@@ -6,6 +6,7 @@ import math
 from collections import Counter, deque
 from collections.abc import Callable, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
+from os import PathLike
 from pathlib import Path
 
 from station.errors import StationError
@@ -27,7 +28,7 @@ Progress = Callable[[int, int], None]
 
 def run_sweep(
     grid: Grid,
-    folder: Path,
+    folder: str | PathLike[str],
     workers: Workers | Executor | None = None,
     *,
     force: bool = False,
@@ -49,7 +50,7 @@ def run_sweep(
     """
     workers = Processes() if workers is None else Borrowed(workers) if isinstance(workers, Executor) else workers
     tell = progress or (lambda done, total: None)
-    with Store.open(folder, grid, force=force) as store:
+    with Store.open(Path(folder), grid, force=force) as store:
         tell(store.done, len(grid))
         try:
             if store.missing():
@@ -82,7 +83,7 @@ class _Round:
     def _hand_out(self) -> bool:
         """Have enough on its way; False if the executor takes nothing more."""
         slots = self._workers.slots()
-        while self._waiting and len(self._flying) < AHEAD * slots:
+        while self._waiting and len(self._flying) < (1 if self._searching() else AHEAD * slots):
             cells = self._next(slots)
             kept = [is_kept(cell, self._store.grid) for cell in cells]
             trees = {cell.tree: self._trees[cell.tree] for cell in cells}
@@ -94,13 +95,16 @@ class _Round:
             self._flying[future] = cells
         return True
 
+    def _searching(self) -> bool:
+        """Whether a cell whose worker died is next, or under way: alone, so that it is seen whose fault it was."""
+        return self._suspects(self._waiting[0], *(cell for cells in self._flying.values() for cell in cells))
+
     def _next(self, slots: int) -> list[Cell]:
         """Cells to hand out together: fewer towards the end, so that all workers end at a time; suspects go alone."""
         share = math.ceil(len(self._waiting) / (2 * AHEAD * slots))
         cells = [self._waiting.popleft()]
-        while (
-            self._waiting and len(cells) < min(share, MOST_AT_ONCE) and not self._suspects(cells[-1], self._waiting[0])
-        ):
+        most = 1 if self._suspects(cells[0]) else min(share, MOST_AT_ONCE)
+        while self._waiting and len(cells) < most:
             cells.append(self._waiting.popleft())
         return cells
 
@@ -129,13 +133,19 @@ class _Round:
         worst = [cell for cell in self._waiting if self._deaths[cell.key] >= MOST_DEATHS]
         if worst:
             raise StationError(self._gave_up(worst))
-        self._workers.renew()
+        try:
+            self._workers.renew()
+        except StationError as error:
+            raise StationError(f"{error}\n{self._kept()}; run the same command again to go on") from error
+
+    def _kept(self) -> str:
+        return f"{self._store.done} of {len(self._store.grid)} fits are kept in '{self._store.folder}'"
 
     def _gave_up(self, cells: Sequence[Cell]) -> str:
-        named = "; or ".join(_told(cell) for cell in cells[:2]) + (", or others" if len(cells) > 2 else "")
+        named = "; or ".join(map(_told, cells[:2]))
         return (
             f"a worker died {MOST_DEATHS} times (killed, or out of memory?) while it fitted {named}\n"
-            f"{self._store.done} of {len(self._store.grid)} fits are kept in '{self._store.folder}'\n"
+            f"{self._kept()}\n"
             "give them more memory or take fewer --workers, and run the same command again to go on"
         )
 
