@@ -9,7 +9,8 @@ contradicts that in three ways, which are mended here:
   Algorithm 1 `x_b * x_a^-1`), and on the left of that is on the right of `T_world_part`: in the part's own frame, where
   a tracker errs. On the other side a turn would swing a part by its distance from the world's origin, up to 5 m.
 - Line 6 moves the root by the noise of its observation, so that the object stands still where nothing is noisy. Here
-  the root's steps are drawn apart from the noise: see `motions`.
+  the root's steps are drawn apart from the noise, and are in its own frame: on the right of the pose, as printed. Read
+  with the x of line 5 they would be on the left, and swing the object about the world's origin.
 
 Line 4 writes `T(v) * R(w)`, the text says se(3): `exp([v, w])` is taken. Both agree to first order in w.
 """
@@ -30,6 +31,9 @@ from station.logs import FloatArray
 
 # Of [v, w], what a planar motion has: x, y, and the turn about z.
 PLANAR = np.array([1.0, 1.0, 0.0, 0.0, 0.0, 1.0])
+
+# Of any magnitude: with more, poses soon are no numbers.
+MOST = 1e6
 
 
 @dataclass(frozen=True)
@@ -160,6 +164,8 @@ def check_magnitude(value: object, what: str, unit: str) -> None:
         raise InvalidData(f"{what} is {value!r}; want a number of {unit}, 0 or more")
     if not math.isfinite(value) or value < 0:
         raise InvalidData(f"{what} is {float(value):g} {unit}; want a finite number, 0 or more")
+    if value > MOST:
+        raise InvalidData(f"{what} is {float(value):g} {unit}; want {MOST:g} at most")
 
 
 def check_count(value: object, what: str, least: int) -> None:

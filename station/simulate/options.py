@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass, field
 
 from station.errors import InvalidData
+from station.logs import SHARPEST
 from station.simulate.motions import MOTIONS
 from station.simulate.noise import Noise, UniformNoise, check_count, check_magnitude, check_share
 
@@ -70,6 +71,8 @@ class SimulationOptions:
             self._check_planar_noise()
         if self.known_noise and not math.isfinite(self.noise.variance):
             raise InvalidData(f"this {self.noise.name} noise has no variance that could be told; leave known_noise out")
+        if self.known_noise and not min(self.noise.scale) > SHARPEST:
+            raise InvalidData("noise of 0 has no standard deviation that could be told; leave known_noise out")
 
     def _check_planar_noise(self) -> None:
         if not self.planar:

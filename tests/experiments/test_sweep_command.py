@@ -34,7 +34,8 @@ def door(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def made_up(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Rows are made up, in this thread: what the command says of them is to be seen."""
+    """Rows are made up, in this thread, and nothing is drawn: what the command says of them is to be seen."""
+    monkeypatch.setattr("station.report.figure5.write_figure5", lambda sweep, folder: ())
     monkeypatch.setattr(sweep_module, "run_cells", made_up_cells)
     monkeypatch.setattr(sweep_module, "Processes", lambda: Here())
     monkeypatch.setattr("station.commands.sweeping.Processes", lambda count: Here())
