@@ -16,15 +16,18 @@ from station.kinematics.joints.base import BALANCE_M
 from station.logs import FloatArray
 
 BoolArray = NDArray[np.bool_]
+IntArray = NDArray[np.intp]
 
-# Steps around a frame by which it is judged, and the share of them that may be smaller than what they are said to be:
-# an outlier makes two of them large.
-STEPS, LOWER_SHARE = 8, 0.3
-# A pair rests in this share of the frames if it does at all. It moves where its steps are so many times as large as
-# there: those of noise alone are within half of that.
-RESTS, MOVES_ABOVE = 0.1, 4.0
-# Fewer frames in motion may be outliers; so many at rest are kept anyhow.
-LEAST_MOVING, LEAST_AT_REST = 10, 40
+# Steps around a frame that tell its pace, by the third smallest of them: an outlier makes two of them large.
+STEPS, SMALLEST = 8, 3
+# A pair that rests at all does so in this share of the frames. Its pace there is the usual one of noise; it rests where
+# it has no more than so many times that, and moves where it has far more than noise ever does.
+RESTS, RESTS_BELOW, MOVES_ABOVE = 0.1, 2.0, 4.0
+# Fewer frames in motion, in number or as a share, may be anything; so many at rest are kept anyhow.
+LEAST_MOVING, LEAST_SHARE, LEAST_AT_REST = 10, 0.03, 40
+# A frame that is so many times as far from its neighbours as they are apart is an outlier. Where these are no few,
+# paces tell nothing.
+SPIKE, FEW_SPIKES = 3.0, 0.05
 
 
 def frames_to_count(T_a_b: FloatArray, seen: BoolArray) -> BoolArray:
@@ -34,38 +37,37 @@ def frames_to_count(T_a_b: FloatArray, seen: BoolArray) -> BoolArray:
         T_a_b: (P, T, 4, 4), finite.
         seen: (P, T).
     """
-    moves = _moves(T_a_b, seen)
-    moving, resting = moves.sum(axis=-1), (seen & ~moves).sum(axis=-1)
-    kept = np.maximum(moving, LEAST_AT_REST)
-    thinned = (moving >= LEAST_MOVING) & (resting > kept)
-    kept = np.where(thinned, kept, resting)[:, None]
-    number = np.cumsum(seen & ~moves, axis=-1)  # of a frame among those at rest, from 1
-    whole = np.maximum(resting, 1)[:, None]
-    spread = number * kept // whole > (number - 1) * kept // whole
-    return moves | (seen & ~moves & spread)
-
-
-def _moves(T_a_b: FloatArray, seen: BoolArray) -> BoolArray:
-    """(P, T) frames in which most steps around are far larger than at rest."""
-    count = seen.sum(axis=-1)
-    if seen.shape[1] <= STEPS:
-        return np.zeros_like(seen)
     order = np.argsort(~seen, axis=-1, kind="stable")  # seen ones first, in order of time
-    rows = np.arange(len(seen))[:, None]
-    steps = _steps(T_a_b[rows, order])
-    steps[np.arange(steps.shape[1]) >= count[:, None] - 1] = np.inf
-    half = STEPS // 2
-    around = sliding_window_view(np.pad(steps, ((0, 0), (half, half)), constant_values=np.inf), STEPS, axis=-1)
-    rank = int(LOWER_SHARE * STEPS)
-    size = np.partition(around, rank, axis=-1)[..., rank]
-    at_rest = np.take_along_axis(np.sort(size, axis=-1), (RESTS * count).astype(np.intp)[:, None], axis=-1)
-    found = np.zeros_like(seen)
-    np.put_along_axis(found, order, np.isfinite(size) & (size > MOVES_ABOVE * at_rest), axis=-1)
-    return found & seen
+    rests = np.zeros_like(seen)
+    if seen.shape[1] > STEPS:
+        poses = T_a_b[np.arange(len(seen))[:, None], order]
+        np.put_along_axis(rests, order, _long_rests(poses, seen.sum(axis=-1)), axis=-1)
+    resting = rests.sum(axis=-1)[:, None]
+    kept = np.maximum(seen.sum(axis=-1)[:, None] - resting, LEAST_AT_REST)
+    number = np.cumsum(rests, axis=-1)  # of a frame among those at rest, from 1
+    whole = np.maximum(resting, 1)
+    spread = number * kept // whole > (number - 1) * kept // whole
+    return seen & (~rests | spread | (resting <= kept))
 
 
-def _steps(T: FloatArray) -> FloatArray:
-    """(P, T - 1) [m] from frame to frame of poses (P, T, 4, 4), a turn of one radian counting as BALANCE_M."""
-    change = np.diff(T[..., :3, :], axis=1)
-    turn = np.einsum("ptij,ptij->pt", change[..., :3], change[..., :3]) / 2  # of a small one, its square
-    return np.sqrt(np.einsum("pti,pti->pt", change[..., 3], change[..., 3]) + BALANCE_M**2 * turn)
+def _long_rests(T: FloatArray, count: IntArray) -> BoolArray:
+    """(P, T) frames at rest of pairs that move as well, of which the first `count` (P,) were seen."""
+    of_pair = count[:, None]
+    known = np.arange(T.shape[1]) < of_pair
+    steps = np.where(known[:, 1:], _distances(T[:, 1:], T[:, :-1]), np.inf)
+    ends = ((0, 0), (STEPS // 2, STEPS // 2))
+    around = sliding_window_view(np.pad(steps, ends, constant_values=np.inf), STEPS, axis=-1)
+    pace = np.partition(around, SMALLEST - 1, axis=-1)[..., SMALLEST - 1]
+    usual = np.take_along_axis(np.sort(pace, axis=-1), (RESTS * of_pair).astype(np.intp), axis=-1)
+    moving = np.sum(np.isfinite(pace) & (pace > MOVES_ABOVE * usual), axis=-1)
+    apart = np.where(known[:, 2:], _distances(T[:, 2:], T[:, :-2]), np.inf)
+    spikes = np.sum(np.minimum(steps[:, 1:], steps[:, :-1]) > SPIKE * apart, axis=-1)
+    long = (moving >= np.maximum(LEAST_MOVING, LEAST_SHARE * count)) & (spikes <= FEW_SPIKES * count)
+    return known & (pace <= RESTS_BELOW * usual) & long[:, None]
+
+
+def _distances(T: FloatArray, other: FloatArray) -> FloatArray:
+    """(...) [m] between poses (..., 4, 4), a small turn of one radian counting as BALANCE_M."""
+    change = T[..., :3, :] - other[..., :3, :]
+    turn, shift = change[..., :3], change[..., 3]
+    return np.sqrt(np.einsum("...i,...i", shift, shift) + 0.5 * BALANCE_M**2 * np.einsum("...ij,...ij", turn, turn))
