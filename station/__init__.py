@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from station.commands.exports import export
+    from station.commands.sweeping import sweep
     from station.commands.videos import track
     from station.compare import Comparison, compare
     from station.errors import StationError
@@ -21,8 +22,10 @@ if TYPE_CHECKING:
     from station.fit_files import read_fit, read_tree, write_fit
     from station.formats.camera_files import read_camera
     from station.formats.read import read_commands, read_pose_log
+    from station.formats.trees import load_tree
     from station.kinematics.tree import Joint, KinematicTree
     from station.logs import JointLog, PoseLog
+    from station.simulate import Simulated, SimulationOptions, simulate
 
 __all__ = [
     "Comparison",
@@ -31,20 +34,25 @@ __all__ = [
     "JointLog",
     "KinematicTree",
     "PoseLog",
+    "Simulated",
+    "SimulationOptions",
     "StationError",
     "compare",
     "export",
     "fit",
+    "load_tree",
     "read_camera",
     "read_commands",
     "read_fit",
     "read_pose_log",
     "read_tree",
+    "simulate",
+    "sweep",
     "track",
     "write_fit",
 ]
 
-# Where each name comes from. `fit` and `compare` are modules that can be called: see station/callable_module.py.
+# Where each name comes from. Those of `_MODULES` are modules that can be called: see station/callable_module.py.
 _HOME = {
     "Comparison": "station.compare",
     "Fit": "station.fit.result",
@@ -52,22 +60,27 @@ _HOME = {
     "JointLog": "station.logs",
     "KinematicTree": "station.kinematics.tree",
     "PoseLog": "station.logs",
+    "Simulated": "station.simulate",
+    "SimulationOptions": "station.simulate",
     "StationError": "station.errors",
     "export": "station.commands.exports",
+    "load_tree": "station.formats.trees",
     "read_camera": "station.formats.camera_files",
     "read_commands": "station.formats.read",
     "read_fit": "station.fit_files",
     "read_pose_log": "station.formats.read",
     "read_tree": "station.fit_files",
+    "sweep": "station.commands.sweeping",
     "track": "station.commands.videos",
     "write_fit": "station.fit_files",
 }
+_MODULES = ("fit", "compare", "simulate")
 
 
 if not TYPE_CHECKING:  # a type checker that saw it would take any name for one that is there
 
     def __getattr__(name: str) -> object:
-        if name in ("fit", "compare"):
+        if name in _MODULES:
             return import_module(f"station.{name}")
         if name not in _HOME:
             raise AttributeError(f"module 'station' has no attribute '{name}'")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -85,11 +85,21 @@ def hand_motion(limits: Sequence[JointLimits], duration_s: float | None) -> Hand
     return HandMotion(plan, max(1, int(np.ceil(wanted_s / plan.duration_s))))
 
 
-def free_joints(units: dict[str, str]) -> tuple[JointLimits, ...]:
-    """Limits of an object's joints that have none, parked at zero; from there they go one way, as a door does."""
+def free_joints(
+    units: Mapping[str, str], limits: Mapping[str, tuple[float, float]] | None = None
+) -> tuple[JointLimits, ...]:
+    """Limits of an object's joints, parked as near to zero as they allow.
+
+    Args:
+        units: of all joints, by name.
+        limits: least and greatest state (rad, m) of those that have them; the others go one way from zero, as a door
+            does.
+    """
+    ends = {name: (0.0, FREE[unit]) for name, unit in units.items()} | dict(limits or {})
     return tuple(
-        JointLimits(name, 0.0, FREE[unit], SPEED[unit], 0.0, "m" if unit == "m" else "rad")
+        JointLimits(name, low, high, SPEED[unit], min(max(0.0, low), high), "m" if unit == "m" else "rad")
         for name, unit in units.items()
+        for low, high in [ends[name]]
     )
 
 

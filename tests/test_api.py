@@ -87,6 +87,19 @@ def test_compare_is_a_module_and_can_be_called_in_any_order_of_imports(order: st
     )
 
 
+@pytest.mark.parametrize("order", ("import station", "import station.simulate.scene; import station"))
+def test_simulate_is_a_package_and_can_be_called_in_any_order_of_imports(order: str):
+    ran(
+        f"{order}\n"
+        "import sys\n"
+        "assert station.simulate is sys.modules['station.simulate']\n"
+        "assert station.simulate.Simulated is station.Simulated\n"
+        "assert len(station.simulate(station.load_tree('lamp'), seed=3).log.t_s) == 100\n"
+        "try:\n    station.simulate('lamp')\n"
+        "except station.StationError as error:\n    assert 'load_tree' in str(error)\n"
+    )
+
+
 def test_every_name_is_there_documented_and_listed():
     assert set(station.__all__) <= set(dir(station))
     for name in station.__all__:
@@ -103,7 +116,7 @@ def test_type_checkers_are_told_where_each_name_really_is():
     assert set(told) == set(station.__all__)
     for name, module in told.items():
         there, here = getattr(import_module(module), name), getattr(station, name)
-        assert here is (sys.modules[module] if name in ("fit", "compare") else there)
+        assert here is (sys.modules[module] if name in ("fit", "compare", "simulate") else there)
 
 
 def test_the_call_takes_the_options_that_there_are_with_their_defaults():
@@ -138,7 +151,7 @@ def test_what_is_no_log_is_refused_with_what_to_do(log: station.PoseLog, fitted:
 
 
 def test_the_calls_can_be_sent_to_other_processes():
-    for call in (station.fit, station.compare):
+    for call in (station.fit, station.compare, station.simulate):
         assert pickle.loads(pickle.dumps(call)) is call
 
 

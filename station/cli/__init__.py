@@ -13,7 +13,19 @@ from typing import NoReturn
 from station.cli.app import app, calibrate
 
 # Their commands join the application as they are imported: in this order `station --help` lists them.
-for _name in ("captures", "sessions", "plan", "logs", "boards", "camera", "arm_calibration", "bus"):
+for _name in (
+    "captures",
+    "sessions",
+    "plan",
+    "logs",
+    "simulations",
+    "sweep",
+    "building",
+    "boards",
+    "camera",
+    "arm_calibration",
+    "bus",
+):
     import_module(f"station.cli.{_name}")
 app.add_typer(calibrate)
 

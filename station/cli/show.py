@@ -76,6 +76,12 @@ class Bar:
         for task in self._progress.task_ids:
             self._progress.update(task, visible=False)
 
+    def count(self, done: int, total: int, what: str) -> None:
+        """How many of all pieces of work are done; what was done before counts for no speed."""
+        if self._progress.tasks[self._task].total is None:
+            self._progress.reset(self._task, total=total, completed=done)
+        self._progress.update(self._task, completed=done, total=total, description=f"{done} of {total} {what}")
+
     def update(self, done_s: float, total_s: float) -> None:
         """How far the present piece of work has come."""
         self._progress.update(self._task, completed=done_s, total=total_s)

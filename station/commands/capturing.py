@@ -266,7 +266,8 @@ def capture_by_hand(
     _check_frames(settings)
     table, by_hand = rig_file.table, None
     if table.simulation is not None and (settings.get("simulate") or table.camera.source == RENDERED):
-        by_hand = hand_motion(table.limits() or free_joints(table.simulation.units()), duration_s)
+        simulation = table.simulation
+        by_hand = hand_motion(table.limits() or free_joints(simulation.units(), simulation.hand_limits()), duration_s)
         duration_s = duration_s or by_hand.duration_s
     with _opened(rig_file, settings, by_hand) as opened:
         take_in_hand(opened, ask)

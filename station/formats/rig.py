@@ -16,7 +16,7 @@ from station.errors import InvalidData, InvalidFile
 from station.formats.camera import CameraTable
 from station.formats.camera_files import read_camera
 from station.formats.markers import MarkersModel
-from station.formats.simulation import MM_PER_M, NotNegative, Positive, SimulationTable, check_simulation
+from station.formats.simulation import MM_PER_M, NotNegative, Pair, Positive, SimulationTable, check_simulation
 from station.formats.toml_models import StrictModel, parse
 from station.logs import check_slugs
 from station.motion import JointLimits, Unit
@@ -27,7 +27,6 @@ EMULATED = "emulated"
 RENDERED = "rendered"
 PROTOCOLS = (1.0, 2.0)
 
-Pair = Annotated[list[float], Field(min_length=2, max_length=2)]
 SizePx = Annotated[list[Annotated[int, Field(gt=0)]], Field(min_length=2, max_length=2)]
 
 

@@ -18,6 +18,7 @@ MM_PER_M = 1e3
 Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]
 Vector = Annotated[list[float], Field(min_length=3, max_length=3)]
+Pair = Annotated[list[float], Field(min_length=2, max_length=2)]
 
 
 def metres(values_mm: list[float]) -> FloatArray:
@@ -29,7 +30,8 @@ class SimulatedJoint(StrictModel):
     """`[[simulation.joint]]`: where the joint of that name really is, in the root's frame with all joints at zero.
 
     point_mm, a point of a revolute joint's axis, means nothing for a prismatic one. mass_kg and centre_mm, if given,
-    are of the child body: the joints then carry its weight.
+    are of the child body: the joints then carry its weight. limits_deg, of a prismatic joint limits_mm, are how far the
+    hand goes that moves the object of a rig without servos.
     """
 
     name: str
@@ -40,12 +42,27 @@ class SimulatedJoint(StrictModel):
     point_mm: Vector = Field(default_factory=lambda: [0.0, 0.0, 0.0])
     mass_kg: NotNegative | None = None
     centre_mm: Vector | None = None
+    limits_deg: Pair | None = None
+    limits_mm: Pair | None = None
 
     @model_validator(mode="after")
     def _check(self) -> SimulatedJoint:
         if (self.mass_kg is None) != (self.centre_mm is None):
             raise ValueError("want mass_kg and centre_mm, or neither")
+        if not any(self.axis):
+            raise ValueError("the axis has no direction")
+        key, other = ("limits_mm", "limits_deg") if self.type == "prismatic" else ("limits_deg", "limits_mm")
+        if getattr(self, other) is not None:
+            raise ValueError(f"a {self.type} joint has {key}, not {other}")
+        limits: list[float] | None = getattr(self, key)
+        if limits is not None and not limits[0] < limits[1]:
+            raise ValueError(f"want {key} = [lower, upper]; have {limits}")
         return self
+
+    def limits(self) -> tuple[float, float] | None:
+        """How far a hand goes [rad, of a prismatic joint m]; None where nobody says."""
+        given, each = (self.limits_mm, 1 / MM_PER_M) if self.type == "prismatic" else (self.limits_deg, np.pi / 180)
+        return None if given is None else (given[0] * each, given[1] * each)
 
 
 class SimulatedPlate(StrictModel):
@@ -121,6 +138,10 @@ class SimulationTable(StrictModel):
     def units(self) -> dict[str, str]:
         """Unit of each simulated joint's states: rad, of a prismatic one m."""
         return {joint.name: "m" if joint.type == "prismatic" else "rad" for joint in self.joint}
+
+    def hand_limits(self) -> dict[str, tuple[float, float]]:
+        """How far a hand moves each joint that has such limits, rad or m."""
+        return {joint.name: limits for joint in self.joint if (limits := joint.limits()) is not None}
 
     def bodies(self) -> tuple[str, ...]:
         """The root, then each joint's child, in the order of the file."""

@@ -27,7 +27,7 @@ from station.logs import FloatArray
 from tests.benchmarks.arguments import each, parser, trials_of
 from tests.benchmarks.bounds import Bound, bound
 from tests.benchmarks.made_joints import Faults, MadeJoint, MadeObject, Watched, named, normals, single_joint, watch
-from tests.benchmarks.made_trees import body_members, mistakes, random_tree
+from tests.benchmarks.made_trees import mistakes, random_tree
 from tests.benchmarks.read_fits import DEFAULT_TYPES, attempt, candidates, found_type, states_of
 
 FRAMES, STD_M, STD_RAD = 100, 0.003, 0.02
@@ -74,14 +74,13 @@ def try_tree(job: tuple[bool, list[int]]) -> list[Told]:
     made = random_tree(rng, bodies=TREE_BODIES, frames=FRAMES, kinds=kinds, root_moves=root_moves, walk=walk)
     watched = named(watch(rng, made.T_ref_part, STD_M, STD_RAD), made.parts)
     fit, _ = attempt(watched.log, FitOptions(root=made.parts[made.body_of.index(0)]))
-    if fit is None or mistakes(fit.tree, made, made.parts):
+    if fit is None or mistakes(fit.tree, made):
         return []
     found: list[Told] = []
-    members = body_members(fit.tree)
+    frames = [made.parts.index(name) for name in fit.tree.bodies]
     for joint in fit.tree.joints:
         ends = [made.body_of[made.parts.index(name)] for name in (joint.parent, joint.child)]
         j = next(i for i, true in enumerate(made.joints) if [true.parent, true.child] == ends)
-        frames = [made.parts.index(name) for name in members]
         found.append(told(fit, joint, made, watched, j, frame_parts=frames))
     return found
 

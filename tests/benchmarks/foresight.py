@@ -5,7 +5,7 @@ by the rig's placement_mm and placement_deg, drawn by the seed), whose servos ga
 if the marker was foreseen seen and detected, or neither. Tilt, size, place and speed are compared where it was both.
 Near a change of what is foreseen the two may differ by when it comes: the agreement away from these is told apart.
 
-Run: python -m tests.benchmarks.foresight [--rigs NAME ...] [--seeds N] [--tree]
+Run: python -m tests.benchmarks.foresight [--rigs NAME ...] [--seeds N]
 """
 
 from __future__ import annotations

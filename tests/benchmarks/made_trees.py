@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from station.kinematics.tree import KinematicTree
+from station.kinematics.joints import JOINT_TYPES
+from station.kinematics.tree import Joint, KinematicTree
 from station.logs import FloatArray
+from station.tree_scores import score_tree
 from tests.benchmarks.made_joints import (
     PITCH_M_PER_RAD,
     STATES,
     MadeJoint,
     MadeObject,
+    inverse,
     poses,
     random_direction,
     random_poses,
@@ -95,40 +98,41 @@ def random_tree(
     )
 
 
-def body_members(tree: KinematicTree) -> dict[str, frozenset[str]]:
-    """Parts of each body of a fitted tree, by its named part."""
-    groups = {name: frozenset(group) for group in tree.rigid_groups for name in group}
-    return {name: groups.get(name, frozenset((name,))) for name in tree.bodies}
+def true_tree(made: MadeObject) -> KinematicTree:
+    """The object as a tree of its trackers, each body named by the first of them."""
+    first = {body: made.body_of.index(body) for body in sorted(set(made.body_of))}
+    parts = {body: made.parts[k] for body, k in first.items()}
+    members = {body: tuple(p for p, of in zip(made.parts, made.body_of, strict=True) if of == body) for body in first}
+    return KinematicTree(
+        root=parts[0],
+        parts=made.parts,
+        rigid_groups=tuple(group for group in members.values() if len(group) > 1),
+        trees=(tuple(parts.values()),),
+        joints=tuple(
+            _told(joint, parts, {body: made.T_body_part[k] for body, k in first.items()}) for joint in made.joints
+        ),
+    )
 
 
-def mistakes(tree: KinematicTree, made: MadeObject, parts: Sequence[str]) -> dict[str, str]:
+def _told(joint: MadeJoint, parts: Mapping[int, str], T_body_part: Mapping[int, FloatArray]) -> Joint:
+    """A joint between two trackers, in the frame of the parent's."""
+    T_part_body, kind = inverse(T_body_part[joint.parent]), JOINT_TYPES[joint.type]
+    point = T_part_body[:3, :3] @ joint.point_m + T_part_body[:3, 3]
+    return Joint(
+        name=f"b{joint.parent}__b{joint.child}",
+        type=joint.type,
+        parent=parts[joint.parent],
+        child=parts[joint.child],
+        axis_parent=T_part_body[:3, :3] @ joint.axis if kind.has_axis else None,
+        point_parent_m=point if kind.has_point else None,
+        T_parent_child_zero=T_part_body @ joint.T_parent_child_zero @ T_body_part[joint.child],
+        pitch_m_per_rad=joint.pitch_m_per_rad if kind.form_freedoms else None,
+    )
+
+
+def mistakes(tree: KinematicTree, made: MadeObject) -> dict[str, str]:
     """What is wrong with a fitted tree: "groups", "edges" or "types", the first that is, with a sentence."""
-    true_groups = {
-        body: frozenset(part for part, of in zip(parts, made.body_of, strict=True) if of == body)
-        for body in set(made.body_of)
-    }
-    found_groups = body_members(tree)
-    body_by_group = {group: body for body, group in true_groups.items()}
-    if set(found_groups.values()) != set(true_groups.values()):
-        return {"groups": _differing(set(found_groups.values()), set(true_groups.values()))}
-    true_types = {frozenset((joint.parent, joint.child)): joint.type for joint in made.joints}
-    found_types = {
-        frozenset(body_by_group[found_groups[name]] for name in (joint.parent, joint.child)): joint.type
-        for joint in tree.joints
-    }
-    if set(found_types) != set(true_types):
-        odd, lost = _edges(set(found_types) - set(true_types)), _edges(set(true_types) - set(found_types))
-        return {"edges": f"joints {odd} instead of {lost}"}
-    wrong = [e for e in true_types if true_types[e] != found_types[e]]
-    if wrong:
-        return {"types": "; ".join(f"{_edges({e})} is {true_types[e]}, called {found_types[e]}" for e in wrong)}
-    return {}
-
-
-def _edges(edges: set[frozenset[int]]) -> str:
-    return ", ".join("-".join(str(body) for body in sorted(edge)) for edge in sorted(edges, key=sorted)) or "none"
-
-
-def _differing(found: set[frozenset[str]], true: set[frozenset[str]]) -> str:
-    odd = ["+".join(sorted(group)) for group in sorted(found - true, key=sorted)]
-    return f"{len(found)} bodies instead of {len(true)}: {', '.join(odd)}"
+    scores = score_tree(tree, true_tree(made))
+    right = {"groups": scores.groups_correct, "edges": scores.structure_correct, "types": scores.types_correct}
+    wrong = [step for step, holds in right.items() if not holds]
+    return {wrong[0]: "; ".join(scores.mistakes)} if wrong else {}

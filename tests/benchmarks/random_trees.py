@@ -73,7 +73,7 @@ def try_tree(job: tuple[int, int, tuple[str, ...], tuple[int, int]]) -> Trial:
     start_s = time.perf_counter()
     fit, failure = attempt(log, FitOptions(joint_types=joint_types))
     wall_s = time.perf_counter() - start_s
-    wrong = {"groups": failure} if fit is None else mistakes(fit.tree, made, made.parts)
+    wrong = {"groups": failure} if fit is None else mistakes(fit.tree, made)
     count, frames = len(set(made.body_of)), len(log.t_s)
     return Trial(number, made.root, states, count, len(made.parts), frames, (std_m, float(std_rad)), wrong, wall_s)
 

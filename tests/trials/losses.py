@@ -10,6 +10,7 @@ from pathlib import Path
 from station.recording import Recording
 from station.session import read_status
 from tests.trials.programs import Line
+from tests.trials.told import WITHOUT_IMAGE
 
 KINDS = ("reading", "command", "frame", "image", "event", "taken")
 
@@ -56,6 +57,8 @@ def losses(recording: Recording, lines: Sequence[Line], killed_ns: int) -> Loss:
     age_s, count, wrong = {}, {}, []
     for kind, there in recorded.items():
         told = [line for line in lines if line.word == ("frame" if kind == "image" else kind)]
+        if kind == "image":
+            told = [line for line in told if line.text != WITHOUT_IMAGE]
         keys = [line.text if kind == "event" else line.stamp_ns for line in told]
         missing = [line for line, key in zip(told, keys, strict=True) if not there[key]]
         age_s[kind] = max((killed_ns - line.stamp_ns for line in missing), default=0) * 1e-9

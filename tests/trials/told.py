@@ -16,13 +16,21 @@ from typing import Any
 from drivers.camera import Frame
 
 PATIENCE_S = 0.5
+WITHOUT_IMAGE = "without image"
+
+
+def _what(word: str, *values: Any) -> str:
+    """What else a line says: an event's text, and of a frame whose image had no room that it comes without."""
+    if word == "event":
+        return str(values[2]).replace("\n", " ")
+    return WITHOUT_IMAGE if word == "frame" and values[2] is None else ""
 
 
 def _telling(fd: int, word: str, original: Callable[..., Any], stamp: Callable[..., int]) -> Callable[..., Any]:
     """The method, which writes its line first."""
 
     def told(self: Any, *values: Any, **named: Any) -> Any:
-        text = str(values[2]).replace("\n", " ") if word == "event" else ""
+        text = _what(word, *values)
         os.write(fd, f"{time.monotonic_ns()} {stamp(*values, **named)} {word} {text}\n".encode())
         return original(self, *values, **named)
 

@@ -1,0 +1,162 @@
+"""What one worker does: cells of a grid are simulated, fitted and scored, one after another."""
+
+from __future__ import annotations
+
+import math
+import platform
+import threading
+import time
+from collections.abc import Generator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import cache
+from importlib.metadata import version
+
+from threadpoolctl import threadpool_limits
+
+from station.errors import StationError
+from station.experiments.grid import Cell
+from station.experiments.rows import JointRow, Row
+from station.fit.learner import Fit, FitOptions, learn
+from station.fit.parallel import in_this_thread
+from station.kinematics.tree import KinematicTree
+from station.kinematics.tree_json import to_json
+from station.simulate import Simulated, simulate
+from station.tree_scores import JointScore, TreeScores, score_tree
+
+# A worker tells what it has after so long, s: that much is lost if it is killed.
+TELL_EVERY_S = 1.0
+STATE_UNITS = {"rad": 180 / math.pi, "m": 1000.0}
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """A row, and the text of the found tree's kinematics.json if it is to be kept."""
+
+    row: Row
+    found: str | None
+
+
+def simulated(cell: Cell, tree: KinematicTree) -> Simulated:
+    """What a cell's fit is given: the very same log each time, and for each method."""
+    return simulate(tree, cell.options, cell.seed)
+
+
+def fitted(cell: Cell, made: Simulated) -> Fit:
+    """What a cell's method learns from the log; raises InvalidData where it can't."""
+    return learn(made.log, FitOptions(method=cell.method))
+
+
+def run_cells(
+    cells: Sequence[Cell], trees: Mapping[str, KinematicTree], kept: Sequence[bool], tell_every_s: float = TELL_EVERY_S
+) -> list[Outcome]:
+    """Run one or more cells, from the first, until it is time to tell what there is.
+
+    Args:
+        cells: to run.
+        trees: that generate them, by name.
+        kept: whether each one's tree is to be kept.
+        tell_every_s: no further cell is begun after so long.
+    """
+    end_s = time.monotonic() + tell_every_s
+    found: list[Outcome] = []
+    with _one_thread():
+        for cell, keep in zip(cells, kept, strict=True):
+            found.append(run_cell(cell, trees[cell.tree], keep=keep))
+            if time.monotonic() > end_s:
+                break
+    return found
+
+
+def run_cell(cell: Cell, tree: KinematicTree, *, keep: bool = False) -> Outcome:
+    """Simulate, fit and score; a fit that fails, however, is a row that says so.
+
+    Args:
+        cell: what to run.
+        tree: that generates it.
+        keep: whether the found tree is to be kept.
+    """
+    begun_s = time.thread_time()
+    try:
+        made = simulated(cell, tree)
+        begun_s = time.thread_time()
+        fit = fitted(cell, made)
+        fit_s = time.thread_time() - begun_s
+        scores = score_tree(fit.tree, made.tree, made.truth, found_states=fit.states, true_states=made.states)
+    except Exception as error:  # whatever it is, the other cells are to be fitted
+        return Outcome(_failed(cell, error, time.thread_time() - begun_s), None)
+    return Outcome(_row(cell, made.tree, scores, fit_s), to_json(fit.tree) if keep else None)
+
+
+def _row(cell: Cell, tree: KinematicTree, scores: TreeScores, fit_s: float) -> Row:
+    joints = tuple(_joint_row(score, tree.joint(score.joint).unit) for score in scores.joints)
+    return Row(
+        cell=cell,
+        groups_correct=scores.groups_correct,
+        structure_correct=scores.structure_correct,
+        types_correct=scores.types_correct,
+        axis_error_deg=_largest([joint.axis_error_deg for joint in joints]),
+        point_error_mm=_largest([joint.point_error_mm for joint in joints]),
+        joints=joints,
+        fit_s=fit_s,
+        error=None,
+        versions=versions(),
+    )
+
+
+def _failed(cell: Cell, error: Exception, fit_s: float) -> Row:
+    what = "" if isinstance(error, StationError) else f"{type(error).__name__}: "
+    text = what + " ".join(str(error).split())
+    return Row(cell, False, False, False, None, None, (), fit_s, text, versions())
+
+
+def _joint_row(score: JointScore, unit: str) -> JointRow:
+    return JointRow(
+        joint=score.joint,
+        true_type=score.true_type,
+        found_type=score.found_type,
+        found_joint=score.found_joint,
+        axis_error_deg=_scaled(score.axis_error_rad, 180 / math.pi),
+        point_error_mm=_scaled(score.point_error_m, 1000.0),
+        state_rms=_scaled(score.state_rms, STATE_UNITS.get(unit, 1.0)),
+    )
+
+
+def _scaled(value: float | None, scale: float) -> float | None:
+    """None also for what is no number: JSON has none such."""
+    return None if value is None or not math.isfinite(value) else scale * value
+
+
+def _largest(values: Sequence[float | None]) -> float | None:
+    return max((value for value in values if value is not None), default=None)
+
+
+@cache
+def versions() -> str:
+    """Of the programs that a fit's last digits depend on."""
+    packages = {"station": "capture-fit-station", "numpy": "numpy", "scipy": "scipy"}
+    told = [f"{name} {version(package)}" for name, package in packages.items()]
+    return ", ".join([*told, f"python {platform.python_version()}", platform.machine()])
+
+
+_lock = threading.Lock()
+_inside: list[threadpool_limits] = []
+_count = 0
+
+
+@contextmanager
+def _one_thread() -> Generator[None, None, None]:
+    """One thread a fit. The limit is the whole program's: the first thread that comes sets it, the last lifts it."""
+    global _count
+    with _lock:
+        _count += 1
+        if _count == 1:
+            _inside.append(threadpool_limits(1, user_api="blas"))
+    try:
+        with in_this_thread():
+            yield
+    finally:
+        with _lock:
+            _count -= 1
+            if not _count:
+                _inside.pop().restore_original_limits()

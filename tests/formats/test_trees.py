@@ -1,0 +1,23 @@
+"""Claims of reading trees: packaged examples, kinematics.json, URDF."""
+
+from __future__ import annotations
+
+import pytest
+
+from station.formats.trees import example_names, load_tree
+from station.formats.urdf import to_urdf
+from station.kinematics.tree_json import to_json
+
+
+def test_the_packaged_trees_are_there():
+    assert {"demo_arm", "drawer_cabinet", "experiment1", "lamp", "swivel_chair"} <= set(example_names())
+
+
+@pytest.mark.parametrize("name", example_names())
+def test_every_packaged_tree_has_limits_and_is_the_same_by_every_way(name: str, tmp_path):
+    tree = load_tree(name)
+    assert all(joint.limits is not None for joint in tree.movable)
+    (tmp_path / "kinematics.json").write_text(to_json(tree), encoding="utf-8")
+    (tmp_path / "tree.urdf").write_text(to_urdf(tree, name), encoding="utf-8")
+    assert to_json(load_tree(tmp_path)) == to_json(load_tree(tmp_path / "kinematics.json")) == to_json(tree)
+    assert load_tree(tmp_path / "tree.urdf").parts == tree.parts
