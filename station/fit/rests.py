@@ -53,7 +53,7 @@ def frames_to_count(T_a_b: FloatArray, seen: BoolArray) -> BoolArray:
 def _long_rests(T: FloatArray, count: IntArray) -> BoolArray:
     """(P, T) frames at rest of pairs that move as well, of which the first `count` (P,) were seen."""
     of_pair = count[:, None]
-    known = np.arange(T.shape[1]) < of_pair
+    known: BoolArray = np.arange(T.shape[1], dtype=np.intp) < of_pair
     steps = np.where(known[:, 1:], _distances(T[:, 1:], T[:, :-1]), np.inf)
     ends = ((0, 0), (STEPS // 2, STEPS // 2))
     around = sliding_window_view(np.pad(steps, ends, constant_values=np.inf), STEPS, axis=-1)

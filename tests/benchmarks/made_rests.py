@@ -98,4 +98,5 @@ def watch_resting(
     anywhere[..., :3, 3] += T[..., :3, 3].mean(axis=0)
     measured[gross] = anywhere[gross]
     covariance = np.broadcast_to(np.diag(deviations**2), (*T.shape[:2], 6, 6)).copy() if told else None
-    return PoseLog(np.arange(len(T)) * FRAME_S, "world", made.parts, measured, covariance)
+    t_s = np.arange(len(T), dtype=np.float64) * FRAME_S
+    return PoseLog(t_s, "world", made.parts, measured, covariance)

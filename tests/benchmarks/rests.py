@@ -1,7 +1,7 @@
 """Chains that rest for long while one joint after another moves: are groups, structure and types right.
 
-Two trackers on each of three to five bodies, 100 to 900 frames, joints in motion in a share of them; 1 to 3 mm and 0.3
-to 1.5 deg of errors for each axis, most of whose variance goes with the pose (`by pose`), so that a tracker at rest errs
+One or two trackers on each of three to five bodies, 100 to 900 frames, joints in motion in a share of them; 1 to 3 mm
+and 0.3 to 1.5 deg of errors for each axis, a share of whose variance goes with the pose, so that a tracker at rest errs
 alike in all frames. The log tells the errors' covariance, or not. Rows with gross outliers, too. Wanted: 95 % right.
 
 Run: python -m tests.benchmarks.rests [--seed N] [--trials N] [--quick] [--only TEXT] [--workers N]
@@ -66,13 +66,11 @@ def try_chain(job: tuple[int, int, Case]) -> tuple[str, float]:
     bodies, frames = int(rng.integers(3, 6)), int(rng.integers(100, 901))
     std_m, std_rad = rng.uniform(0.001, 0.003), np.radians(rng.uniform(0.3, 1.5))
     made = chain_that_rests(rng, bodies=bodies, frames=frames, moving=case.moving, trackers=case.trackers)
-    log = watch_resting(
-        rng, made, std_m, std_rad, by_pose=case.by_pose, outliers=case.outliers, told=case.told
-    )
+    log = watch_resting(rng, made, std_m, std_rad, by_pose=case.by_pose, outliers=case.outliers, told=case.told)
     start_s = time.process_time()
     fit, failure = attempt(log)
     cpu_s = time.process_time() - start_s
-    return next(iter({"groups": failure} if fit is None else mistakes(fit.tree, made, made.parts)), ""), cpu_s
+    return next(iter({"groups": failure} if fit is None else mistakes(fit.tree, made)), ""), cpu_s
 
 
 def main() -> None:
@@ -87,7 +85,10 @@ def main() -> None:
         right = 100 * (1 - sum(wrong) / len(found))
         miss = "<" if right < WANTED_PERCENT else ""
         cpu_s = np.mean([cpu for _, cpu in found])
-        print(f"{case.name:66} {right:5.1f} %   {wrong[0]:8d} {wrong[1]:8d} {wrong[2]:8d}   {cpu_s:8.2f} {miss}", flush=True)
+        print(
+            f"{case.name:66} {right:5.1f} %   {wrong[0]:8d} {wrong[1]:8d} {wrong[2]:8d}   {cpu_s:8.2f} {miss}",
+            flush=True,
+        )
 
 
 if __name__ == "__main__":
