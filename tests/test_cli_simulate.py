@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -132,7 +133,7 @@ def test_a_file_that_is_there_is_kept_unless_forced(station, tmp_path: Path):
         (("--root", "flying"), "choose one of moving, static"),
         (("--outliers", "1.5"), "share of outliers is 1.5"),
         (("--missing", "-1"), "share of missing poses is -1.0"),
-        (("--seed", "-3"), "seed is -3; want a whole number, 0 or more"),
+        (("--seed", "-3"), "seed: have -3; want a whole number, 0 or more"),
         (("--inflation", "-3"), "inflation: have -3"),
         (("--planar",), "lamp: joint 'lean' (revolute): its axis is 0 1 0; want one along z"),
         (("--frames", 1_000_000), "poses at once"),
@@ -259,3 +260,11 @@ def test_a_tree_that_is_not_there_is_told_with_those_that_come_with_the_package(
     assert code == 1 and is_one_clear_error(err) and "no tree 'swivelchair'" in err and "swivel_chair" in err
     code, _, err = station("simulate", tmp_path, "--out", tmp_path / "poses.csv")
     assert code == 1 and is_one_clear_error(err) and "kinematics.json" in err
+
+
+def test_the_page_tells_every_option_that_there_is(station):
+    page = (Path(__file__).parents[1] / "docs" / "simulator.md").read_text("utf-8")
+    code, said, _ = station("simulate", "--help")
+    options = set(re.findall(r"^  (--[a-z-]+)", said, re.MULTILINE))
+    assert code == 0 and len(options) > 15
+    assert options <= set(re.findall(r"--[a-z-]+", page))

@@ -111,12 +111,16 @@ def left_out_of_urdf(draft: Draft) -> tuple[str, ...]:
     trackers = [part for part in draft.tree.parts if part not in draft.parts]
     balls = [joint.name for joint in draft.joints if joint.type == "spherical"]
     have = {
-        f"{len(draft.markers)} markers": draft.markers,
-        f"{len(draft.blocks)} boxes": draft.blocks,
+        _counted(len(draft.markers), "marker", "markers"): draft.markers,
+        _counted(len(draft.blocks), "box", "boxes"): draft.blocks,
         f"further trackers {', '.join(trackers)}": trackers,
         f"limits of the ball joints {', '.join(balls)}": balls,
     }
     return tuple(what for what, there in have.items() if there)
+
+
+def _counted(count: int, one: str, many: str) -> str:
+    return f"{count} {one if count == 1 else many}"
 
 
 def markers_text(draft: Draft) -> str:

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from calibration.intrinsics import CameraModel
-from station.builder.draft import Block, Draft, unused
+from station.builder.draft import Block, Draft
 from station.builder.drawing import part_blocks
 from station.builder.marking import mark_all
 from station.builder.plates import margin_m
@@ -26,6 +26,7 @@ from station.builder.rig_text import (
     servo_tables,
     written,
 )
+from station.builder.rig_truth import bodies, tracked_names
 from station.builder.sights import Viewpoint, best_viewpoint, reached_states, swept_points, usual_camera
 from station.builder.stored import load_draft, write_text
 from station.errors import InvalidData
@@ -34,7 +35,6 @@ from station.formats.urdf_links import roll_pitch_yaw
 from station.kinematics import se3
 from station.kinematics.tree import Joint
 from station.logs import FloatArray
-from station.simulate.placing import layout
 
 TYPES = ("rigid", "revolute", "prismatic")
 MM = 1e3
@@ -44,8 +44,6 @@ OFTEN = 0.5
 # distance; how thick; and how far behind the object.
 ROOM_SHARE, THICK_M, BEHIND_M = 1.5, 0.02, 0.25
 TABLE_COLOUR, WALL_COLOUR = "#b59a78", "#c9cdd2"
-# Letters that tell markers of one body apart, as in the packaged rigs: `seat`, `seat_b`.
-LETTERS = "bcdefghijklmnopqrstuvwxyz"
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,17 +121,19 @@ def _tables(draft: Draft, camera: CameraModel, view: Viewpoint, *, servos: bool)
     if servos:
         yield from servo_tables(draft.tree.movable)
     yield from camera_tables(camera)
-    yield markers_table(draft.dictionary, draft.markers, _tracked_names(draft))
+    yield markers_table(draft.dictionary, draft.markers, tracked_names(draft))
     yield from _simulation(draft, view, servos=servos)
 
 
 def _simulation(draft: Draft, view: Viewpoint, *, servos: bool) -> Iterator[Table]:
     """The truth: rigid joints folded into bodies, everything told in the root's frame with all joints at 0."""
-    body_of = _bodies(draft)
+    body_of = bodies(draft)
     poses = draft.tree.forward(np.zeros(len(draft.tree.columns)))
     yield Table("simulation", {"root": body_of[draft.tree.root], "seed": 0})
     place = {"position_mm": numbers(MM * view.position_m), "look_at_mm": numbers(MM * view.target_m)}
-    yield Table("simulation.camera", {**place, "exposure_s": 0.008, "blur_instants": 2, "latency_s": 0.012})
+    yield Table(
+        "simulation.camera", {**place, "exposure_s": 0.008, "blur_instants": 2, "latency_s": 0.012, "noise_grey": 2.0}
+    )
     for joint in draft.tree.outward():
         if joint.kind.states:
             hand = {} if servos else hand_limits(joint)
@@ -154,12 +154,6 @@ def _simulation(draft: Draft, view: Viewpoint, *, servos: bool) -> Iterator[Tabl
     for part in draft.parts:
         for block in part_blocks(draft, part):
             yield Table("[simulation.box]", _box(block, poses[part], body_of[part]))
-
-
-def _bodies(draft: Draft) -> dict[str, str]:
-    """The part that each part is fixed to by rigid joints, as the simulator folds them."""
-    folded = layout(draft.tree)
-    return {part: folded.tree.bodies[body] for part, body in zip(draft.tree.parts, folded.body, strict=True)}
 
 
 def _joint(joint: Joint, T_root_parent: FloatArray, body_of: dict[str, str]) -> dict[str, object]:
@@ -204,20 +198,6 @@ def _room(draft: Draft, view: Viewpoint) -> tuple[Block, Block]:
         Block(root, se3.translation(table), np.array([2 * wide, 2 * wide, THICK_M]), TABLE_COLOUR),
         Block(root, se3.translation(wall), size, WALL_COLOUR),
     )
-
-
-def _tracked_names(draft: Draft) -> list[str]:
-    """A part of its own for each marker: the first on a part has the part's name, others a letter more."""
-    names: list[str] = []
-    taken = set(draft.tree.parts)
-    for row, marker in enumerate(draft.markers):
-        before = sum(other.part == marker.part for other in draft.markers[:row])
-        if before == 0:
-            names.append(marker.part)
-            continue
-        stem = f"{marker.part}_{LETTERS[before - 1]}" if before <= len(LETTERS) else f"{marker.part}_{before + 1}"
-        names.append(unused(stem, [*taken, *names]))
-    return names
 
 
 def _remarks(draft: Draft, view: Viewpoint) -> tuple[str, ...]:

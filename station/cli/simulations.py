@@ -10,7 +10,7 @@ import typer
 
 from station.cli.app import app
 from station.cli.options import Json
-from station.cli.show import say_next, warn
+from station.cli.show import progress, say_next, warn
 
 
 @app.command()
@@ -90,7 +90,9 @@ def simulate(
         known_noise=known_noise,
         planar_noise=planar_noise,
     )
-    written = simulating.simulate(tree, out, options=options, seed=seed, truth=truth, force=force)
+    with progress() as bar:
+        bar.stage("simulate")
+        written = simulating.simulate(tree, out, options=options, seed=seed, truth=truth, force=force)
     if as_json:
         print(json.dumps(written.as_dict(), allow_nan=False))
     else:

@@ -69,8 +69,8 @@ def sweep(
 ) -> SweepResult:
     """Fit all cells of a grid, or those that a folder doesn't have yet, and write what came of them.
 
-    Writes sweep.csv, sweep.parquet and figure5.png and .svg; see `station.experiments.store` for the rest. The rows
-    don't depend on who fits them or when.
+    Writes sweep.csv, sweep.parquet, figure5.png and .svg, and three figures more (`station.report.figure5`); see
+    `station.experiments.store` for the rest. The rows don't depend on who fits them or when.
 
     Args:
         out: new, empty, or of a sweep whose cells are all in the grid: it is gone on with.
@@ -82,10 +82,12 @@ def sweep(
     Raises:
         StationError: `out` is occupied; the workers can't be reached or die; what is done stays.
     """
+    from station.report.figure5 import write_figure5
+
     grid = Grid(named_trees(TREES)) if grid is None else grid
     done = run_sweep(grid, out, workers, force=force, progress=progress)
     files = [done.folder / name for name in (CSV_FILE, PARQUET_FILE)]
-    return SweepResult(done, tuple(files))
+    return SweepResult(done, (*files, *write_figure5(done, done.folder)))
 
 
 def workers_at(executor: str, count: int | None = None) -> Workers:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import logging
 import re
 import time
+from collections.abc import Generator
 from concurrent.futures import CancelledError
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from types import TracebackType
 from typing import TYPE_CHECKING, cast
 
@@ -78,6 +80,7 @@ class DaskCluster(Workers):
             ) from None
         self._inside = ExitStack()
         self._inside.enter_context(config.set({"distributed.comm.timeouts.connect": ANSWER_S}))
+        self._inside.enter_context(_silent(logging.getLogger("distributed.client")))
         try:
             self._client = Client(self._address, timeout=ANSWER_S, set_as_default=False)
         except (OSError, TimeoutError, ValueError) as error:
@@ -125,6 +128,17 @@ class DaskCluster(Workers):
             self._client.close(timeout=ANSWER_S)
             self._client = None
             self._inside.close()
+
+
+@contextmanager
+def _silent(logger: logging.Logger) -> Generator[None, None, None]:
+    """While it is entered, what goes wrong is told by our errors, and not by a logger's tracebacks as well."""
+    before = logger.level
+    logger.setLevel(logging.CRITICAL + 1)
+    try:
+        yield
+    finally:
+        logger.setLevel(before)
 
 
 def _first_line(error: BaseException) -> str:

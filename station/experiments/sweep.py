@@ -133,13 +133,19 @@ class _Round:
         worst = [cell for cell in self._waiting if self._deaths[cell.key] >= MOST_DEATHS]
         if worst:
             raise StationError(self._gave_up(worst))
-        self._workers.renew()
+        try:
+            self._workers.renew()
+        except StationError as error:
+            raise StationError(f"{error}\n{self._kept()}; run the same command again to go on") from error
+
+    def _kept(self) -> str:
+        return f"{self._store.done} of {len(self._store.grid)} fits are kept in '{self._store.folder}'"
 
     def _gave_up(self, cells: Sequence[Cell]) -> str:
         named = "; or ".join(map(_told, cells[:2]))
         return (
             f"a worker died {MOST_DEATHS} times (killed, or out of memory?) while it fitted {named}\n"
-            f"{self._store.done} of {len(self._store.grid)} fits are kept in '{self._store.folder}'\n"
+            f"{self._kept()}\n"
             "give them more memory or take fewer --workers, and run the same command again to go on"
         )
 

@@ -59,4 +59,4 @@ class Borrowed(Workers):
         return self._slots
 
     def renew(self) -> None:
-        raise StationError("the executor that was given lost its workers; what is done is kept: go on with another one")
+        raise StationError("the executor that was given lost its workers; go on with another one")

@@ -79,8 +79,15 @@ def space_figure(tree: KinematicTree, states: JointLog, T_root_camera: FloatArra
         for column, root in enumerate(roots):
             width = 1 / len(roots)
             axes = figure.add_axes((column * width, 0.0, width, 1.0))
-            _draw(axes, _scene(tree, states, root, T_root_camera if root == tree.root else None))
+            draw_space(axes, tree, states, root, T_root_camera if root == tree.root else None)
         return figure
+
+
+def draw_space(
+    axes: Axes, tree: KinematicTree, states: JointLog, root: str, T_root_camera: FloatArray | None = None
+) -> None:
+    """One panel of `space_figure`: the bodies that hang from `root`."""
+    _draw(axes, _scene(tree, states, root, T_root_camera))
 
 
 def _scene(tree: KinematicTree, states: JointLog, root: str, T_root_camera: FloatArray | None) -> _Scene:

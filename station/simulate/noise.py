@@ -9,7 +9,8 @@ contradicts that in three ways, which are mended here:
   Algorithm 1 `x_b * x_a^-1`), and on the left of that is on the right of `T_world_part`: in the part's own frame, where
   a tracker errs. On the other side a turn would swing a part by its distance from the world's origin, up to 5 m.
 - Line 6 moves the root by the noise of its observation, so that the object stands still where nothing is noisy. Here
-  the root's steps are drawn apart from the noise: see `motions`.
+  the root's steps are drawn apart from the noise, and are in its own frame: on the right of the pose, as printed. Read
+  with the x of line 5 they would be on the left, and swing the object about the world's origin.
 
 Line 4 writes `T(v) * R(w)`, the text says se(3): `exp([v, w])` is taken. Both agree to first order in w.
 """
@@ -19,6 +20,7 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
+from numbers import Integral, Real
 from typing import ClassVar
 
 import numpy as np
@@ -29,6 +31,9 @@ from station.logs import FloatArray
 
 # Of [v, w], what a planar motion has: x, y, and the turn about z.
 PLANAR = np.array([1.0, 1.0, 0.0, 0.0, 0.0, 1.0])
+
+# Of any magnitude: with more, poses soon are no numbers.
+MOST = 1e6
 
 
 @dataclass(frozen=True)
@@ -153,22 +158,23 @@ class StudentNoise(Noise):
         return draws[..., :6] / np.sqrt(np.mean(draws[..., 6:] ** 2, axis=-1, keepdims=True))
 
 
-def check_magnitude(value: float, what: str, unit: str) -> None:
+def check_magnitude(value: object, what: str, unit: str) -> None:
     """Raise InvalidData unless the value is a finite number of 0 or more."""
-    if isinstance(value, bool) or not isinstance(value, int | float | np.number):
+    if isinstance(value, bool) or not isinstance(value, Real):
         raise InvalidData(f"{what} is {value!r}; want a number of {unit}, 0 or more")
     if not math.isfinite(value) or value < 0:
-        raise InvalidData(f"{what} is {value:g} {unit}; want a finite number, 0 or more")
+        raise InvalidData(f"{what} is {float(value):g} {unit}; want a finite number, 0 or more")
+    if value > MOST:
+        raise InvalidData(f"{what} is {float(value):g} {unit}; want {MOST:g} at most")
 
 
-def check_count(value: int, what: str, least: int) -> None:
+def check_count(value: object, what: str, least: int) -> None:
     """Raise InvalidData unless the value is a whole number and no less than the least."""
-    if isinstance(value, bool) or not isinstance(value, int) or value < least:
+    if isinstance(value, bool) or not isinstance(value, Integral) or value < least:
         raise InvalidData(f"{what}: have {value!r}; want a whole number, {least} or more")
 
 
-def check_share(value: float, what: str) -> None:
+def check_share(value: object, what: str) -> None:
     """Raise InvalidData unless the value is a number from 0 to less than 1."""
-    wrong = isinstance(value, bool) or not isinstance(value, int | float | np.number)
-    if wrong or not 0 <= value < 1:
+    if isinstance(value, bool) or not isinstance(value, Real) or not 0 <= float(value) < 1:
         raise InvalidData(f"share of {what} is {value!r}; want a number from 0 to less than 1")

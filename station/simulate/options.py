@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass, field
 
 from station.errors import InvalidData
+from station.logs import SHARPEST
 from station.simulate.motions import MOTIONS
 from station.simulate.noise import Noise, UniformNoise, check_count, check_magnitude, check_share
 
@@ -55,8 +56,7 @@ class SimulationOptions:
     def __post_init__(self) -> None:
         check_count(self.frames, "frames", 1)
         check_count(self.inflation, "inflation", 0)
-        if not isinstance(self.noise, Noise):
-            raise InvalidData(f"noise is {self.noise!r}; want a model such as UniformNoise(0.001, 0.01)")
+        _check_noise(self.noise)
         for name, choices in (("motion", tuple(MOTIONS)), ("root", ROOTS)):
             value = getattr(self, name)
             if value not in choices:
@@ -71,6 +71,8 @@ class SimulationOptions:
             self._check_planar_noise()
         if self.known_noise and not math.isfinite(self.noise.variance):
             raise InvalidData(f"this {self.noise.name} noise has no variance that could be told; leave known_noise out")
+        if self.known_noise and not min(self.noise.scale) > SHARPEST:
+            raise InvalidData("noise of 0 has no standard deviation that could be told; leave known_noise out")
 
     def _check_planar_noise(self) -> None:
         if not self.planar:
@@ -79,3 +81,8 @@ class SimulationOptions:
             raise InvalidData(f"{self.noise.name} noise is in space; choose another model, or leave planar_noise out")
         if self.known_noise:
             raise InvalidData("noise in a plane has no covariance in space; leave known_noise or planar_noise out")
+
+
+def _check_noise(noise: object) -> None:
+    if not isinstance(noise, Noise):
+        raise InvalidData(f"noise is {noise!r}; want a model such as UniformNoise(0.001, 0.01)")

@@ -12,13 +12,13 @@ from station.kinematics.tree import KinematicTree
 from station.logs import FloatArray, JointLog, PoseLog
 from station.simulate.degrading import degraded, degrading_draws
 from station.simulate.motions import MOTIONS, started_root
-from station.simulate.noise import PLANAR
+from station.simulate.noise import PLANAR, check_count
 from station.simulate.options import SimulationOptions
 from station.simulate.placing import Layout, check_planar, layout, place_objects
 from station.simulate.state_ranges import state_ranges
 
-# Of all repeats together, about 2 GB while they are made.
-MOST_POSES = 2_000_000
+# Of all repeats together, more than 1 GB while they are made.
+MOST_POSES = 1_000_000
 # Each purpose has random numbers of its own: a seed's motion is the same whatever the noise.
 STREAMS = ("mounts", "roots", "states", "noise", "degrading")
 
@@ -117,8 +117,7 @@ def _simulated(
 
 def _draws(options: SimulationOptions, what: Layout, columns: int, seed: int) -> tuple[FloatArray, ...]:
     """All random numbers of one repeat, in the order that `simulate_all` stacks them."""
-    if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
-        raise InvalidData(f"seed is {seed!r}; want a whole number, 0 or more")
+    check_count(seed, "seed", 0)
     streams = dict(zip(STREAMS, np.random.SeedSequence(int(seed)).spawn(len(STREAMS)), strict=True))
     rng = {name: np.random.default_rng(stream) for name, stream in streams.items()}
     motion, roots = MOTIONS[options.motion], len(what.tree.tree_roots)

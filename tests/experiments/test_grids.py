@@ -100,7 +100,8 @@ def test_methods_share_their_simulation_and_nothing_else_does():
     ids=str,
 )
 def test_what_is_simulated_otherwise_has_other_seeds(changes: dict[str, Any]):
-    assert not set(seeds(small_grid()).values()) & set(seeds(small_grid(**changes)).values())
+    for usual in (small_grid(), small_grid(noise_model="student")):
+        assert not set(seeds(usual).values()) & set(seeds(small_grid(**changes)).values())
 
 
 def test_a_seed_is_the_same_on_every_machine_and_a_float_holds_it():

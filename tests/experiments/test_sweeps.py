@@ -1,7 +1,7 @@
 """Sweeps: the same rows whoever fits them; a fit that fails, and a worker that dies, cost no other row."""
 
 from collections.abc import Callable
-from concurrent.futures import BrokenExecutor, Executor, Future, ThreadPoolExecutor
+from concurrent.futures import BrokenExecutor, Executor, Future, ThreadPoolExecutor, wait
 from dataclasses import replace
 from multiprocessing import resource_tracker
 from pathlib import Path
@@ -170,6 +170,61 @@ def test_a_cell_that_always_kills_its_worker_ends_the_sweep_with_what_is_kept(tm
     assert bad.key not in {row.cell.key for row in kept.rows}
     assert len((tmp_path / "sweep.csv").read_text().splitlines()) == 1 + len(kept.rows) > 1
     assert len(told(tmp_path)) == len(GRID)
+
+
+class Together(Executor):
+    """Begins what was submitted when it is waited for, all at a time: who dies takes the others along."""
+
+    def __init__(self, bad: object) -> None:
+        self.bad, self.begun = bad, list[tuple[Future[Any], Any, Any]]()
+
+    def submit(self, fn: Any, /, *args: Any, **kwargs: Any) -> Future[Any]:
+        future: Future[Any] = Future()
+        self.begun.append((future, fn, args))
+        return future
+
+    def end(self) -> None:
+        died = any(cell.key == self.bad for _, _, (cells, *_) in self.begun for cell in cells)
+        for future, fn, args in self.begun:
+            if died:
+                future.set_exception(BrokenExecutor("died"))
+            else:
+                future.set_result(fn(*args))
+        self.begun.clear()
+
+
+@pytest.mark.usefixtures("without_fits")
+def test_only_the_cell_whose_fault_it_is_is_named_though_others_die_with_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    grid = small_grid(repeats=20)
+    bad = grid.cells()[1]
+
+    class Lending(Dying):
+        def __enter__(self) -> "Lending":
+            self.executor = Together(bad.key)
+            return self
+
+        def renew(self) -> None:
+            pass
+
+    workers = Lending({})
+
+    def waits(*args: Any, **kwargs: Any) -> Any:
+        workers.executor.end()
+        return wait(*args, **kwargs)
+
+    monkeypatch.setattr(sweep_module, "wait", waits)
+    with pytest.raises(StationError) as error:
+        run_sweep(grid, tmp_path, workers)
+    told = f"inflation {bad.options.inflation}, repeat {bad.repeat}"
+    assert told in str(error.value).splitlines()[0] and "; or" not in str(error.value)
+    assert read_sweep(tmp_path).rows[0].cell.key == grid.cells()[0].key  # which had died with it
+
+
+@pytest.mark.usefixtures("without_fits")
+def test_cells_that_workers_give_back_are_handed_out_again(tmp_path: Path):
+    assert run_sweep(small_grid(repeats=40), tmp_path, Here()).complete
 
 
 class Interrupting(Here):

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import re
+from pathlib import Path
+
 import pytest
 
 from station.formats.trees import example_names, load_tree
 from station.formats.urdf import to_urdf
-from station.kinematics.tree_json import to_json
+from station.kinematics.tree_json import from_json, to_json
+from station.simulate import simulate
 
 
 def test_the_packaged_trees_are_there():
@@ -21,3 +25,15 @@ def test_every_packaged_tree_has_limits_and_is_the_same_by_every_way(name: str, 
     (tmp_path / "tree.urdf").write_text(to_urdf(tree, name), encoding="utf-8")
     assert to_json(load_tree(tmp_path)) == to_json(load_tree(tmp_path / "kinematics.json")) == to_json(tree)
     assert load_tree(tmp_path / "tree.urdf").parts == tree.parts
+
+
+def test_the_tree_of_the_page_is_read_and_moves():
+    page = Path(__file__).parents[2] / "docs" / "simulator.md"
+    (text,) = re.findall(r"```json\n(.*?)```", page.read_text("utf-8"), re.DOTALL)
+    assert simulate(from_json(text, "simulator.md")).states.joints == ("hinge", "slide")
+
+
+def test_the_page_names_every_packaged_tree():
+    page = (Path(__file__).parents[2] / "docs" / "simulator.md").read_text("utf-8")
+    for name in example_names():
+        assert f"| `{name}` |" in page

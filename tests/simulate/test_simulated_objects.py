@@ -329,6 +329,8 @@ def test_a_root_without_a_pose_is_refused():
         ({"rate_hz": 0.0}, "rate_hz is 0"),
         ({"nearby_m": -0.1}, "nearby_m is -0.1 m; want a finite number, 0 or more"),
         ({"root_step_rad": float("inf")}, "root_step_rad is inf rad"),
+        ({"known_noise": True, "noise": UniformNoise(0.0, 0.1)}, "noise of 0 has no standard deviation"),
+        ({"root_step_m": 1e9}, "root_step_m is 1e+09 m; want 1e+06 at most"),
         ({"planar": True, "planar_noise": True, "known_noise": True}, "noise in a plane has no covariance in space"),
     ],
 )
@@ -345,7 +347,35 @@ def test_a_seed_that_is_none_is_refused(seed: object):
 
 
 def test_more_than_fits_in_memory_is_refused_before_it_is_made():
-    with pytest.raises(InvalidData, match="40000000 poses at once; want 2000000 at most"):
+    with pytest.raises(InvalidData, match="40000000 poses at once; want 1000000 at most"):
         simulate(load_tree("lamp"), SimulationOptions(frames=10_000_000))
     with pytest.raises(InvalidData, match="poses at once"):
         simulate(load_tree("lamp"), SimulationOptions(inflation=10**9))
+
+
+def test_one_part_one_frame_and_a_joint_that_may_not_move_are_simulated_too():
+    alone = KinematicTree(root="box", parts=("box",), rigid_groups=(), trees=(("box",),), joints=())
+    for motion in MOTIONS:
+        options = SimulationOptions(frames=1, motion=motion, inflation=1)
+        made = simulate(alone, options, 1)
+        assert made.log.parts == ("box", "box_v1") and made.states.q.shape == (1, 0)
+        stuck = simulate(hinged(door(limits=(0.3, 0.3))), replace(options, frames=20), 1)
+        np.testing.assert_allclose(stuck.states.q, 0.3, atol=1e-15)
+
+
+@EVERY_MOTION
+def test_a_ball_with_a_least_angle_keeps_to_it(motion: str):
+    ball = hinged(door(type="spherical", axis_parent=None, limits=(0.5, 0.9)))
+    q = simulate(ball, SimulationOptions(frames=300, motion=motion), 1).states.q
+    angle = np.linalg.norm(q, axis=1)
+    assert angle.min() >= 0.5 - 1e-12 and angle.max() <= 0.9 + 1e-12
+
+
+def test_trackers_whose_place_a_tree_does_not_tell_are_near_their_part():
+    parts = ("foot_b", "foot", "lower_arm", "upper_arm", "shade")
+    tree = replace(load_tree("lamp"), parts=parts, rigid_groups=(("foot", "foot_b"),))
+    made = simulate(tree, SimulationOptions(frames=10, inflation=1), 1)
+    assert set(made.tree.rigid_groups[0]) == {"foot", "foot_b", "foot_v1", "foot_b_v1"}
+    mount = relative(made.truth, "foot", "foot_b")
+    assert 0 < np.abs(mount[0, :3, 3]).max() <= 0.1
+    np.testing.assert_allclose(mount, np.broadcast_to(mount[0], mount.shape), atol=ROUNDING)
