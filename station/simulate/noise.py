@@ -9,7 +9,8 @@ contradicts that in three ways, which are mended here:
   Algorithm 1 `x_b * x_a^-1`), and on the left of that is on the right of `T_world_part`: in the part's own frame, where
   a tracker errs. On the other side a turn would swing a part by its distance from the world's origin, up to 5 m.
 - Line 6 moves the root by the noise of its observation, so that the object stands still where nothing is noisy. Here
-  the root's steps are drawn apart from the noise: see `motions`.
+  the root's steps are drawn apart from the noise, and are in its own frame: on the right of the pose, as printed. Read
+  with the x of line 5 they would be on the left, and swing the object about the world's origin.
 
 Line 4 writes `T(v) * R(w)`, the text says se(3): `exp([v, w])` is taken. Both agree to first order in w.
 """
