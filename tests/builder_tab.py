@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+import numpy as np
+
 # viser's page sends one message in 50 ms, and of several meanwhile the last alone: nobody clicks faster.
 PAUSE = "() => new Promise(done => setTimeout(done, 120))"
 # The scene is drawn coarsely: by the processor, at that.
@@ -44,7 +46,7 @@ class Tab:
         found = self.page.get_by_text(texts[0])
         for text in texts[1:]:
             found = found.or_(self.page.get_by_text(text))
-        found.first.wait_for()
+        found.locator("visible=true").first.wait_for()
 
     def click(self, name: str) -> None:
         """Click a button."""
@@ -92,3 +94,27 @@ class Tab:
 
     def _pause(self) -> None:
         self.page.evaluate(PAUSE)
+
+    def drags(self, start: tuple[float, float], end: tuple[float, float], steps: int = 4) -> None:
+        """Drag with the mouse, from one point of the page to another [px]."""
+        mouse = self.page.mouse
+        mouse.move(*start)
+        self._pause()
+        mouse.down()
+        for k in range(1, steps + 1):
+            mouse.move(*(a + k / steps * (b - a) for a, b in zip(start, end, strict=True)))
+            self._pause()
+        mouse.up()
+        self._pause()
+
+    def pixel(self, camera: Any, point_m: Any) -> tuple[float, float]:
+        """Where a point of the scene is on the page [px], for a camera of viser's with z up."""
+        box = self.page.locator("canvas").first.bounding_box()
+        eye, forward = np.asarray(camera.position), np.asarray(camera.look_at) - np.asarray(camera.position)
+        forward = forward / np.linalg.norm(forward)
+        right = np.cross(forward, [0.0, 0.0, 1.0])
+        right = right / np.linalg.norm(right)
+        ray = np.asarray(point_m) - eye
+        per_m = box["height"] / 2 / np.tan(camera.fov / 2) / (ray @ forward)
+        x, y = ray @ right * per_m, ray @ np.cross(right, forward) * per_m
+        return box["x"] + box["width"] / 2 + x, box["y"] + box["height"] / 2 - y

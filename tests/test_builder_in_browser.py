@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -11,7 +12,9 @@ import pytest
 
 from station.builder.documents import to_text
 from station.builder.page.builder import Builder
-from station.builder.stored import load_draft
+from station.builder.page.gizmo import SIZE_RADII
+from station.builder.placing import part_gizmo
+from station.builder.stored import load_draft, save_draft
 from station.commands import building
 from tests.browsers import SOFTWARE_3D, chromium
 from tests.builder_tab import Tab
@@ -54,8 +57,8 @@ def test_a_swivel_chair_is_built_by_clicks_tried_saved_and_read_again(browser: A
             unit = "mm" if kind == "prismatic" else "deg"
             tab.type("Name", part)
             tab.type("Joint name", joint)
-            tab.type(f"Lower limit [{unit}]", limits[0])
-            tab.type(f"Upper limit [{unit}]", limits[1])
+            tab.type(f"Lower [{unit}]", limits[0])
+            tab.type(f"Upper [{unit}]", limits[1])
             tab.type("Axis", *axis)
             if point is not None:
                 tab.type("Axis at [mm]", *point)
@@ -133,3 +136,71 @@ def test_what_is_refused_is_told_and_changes_nothing_and_all_else_can_be_undone(
             other.click("Redo")
         tab.until(lambda: to_text(builder.draft) == turned, "both steps are there again")
         assert builder.left() is not None
+
+
+def test_a_part_is_dragged_with_the_mouse_in_one_step(browser: Any, builder: Builder, tmp_path: Path):
+    save_draft(load_draft("lamp"), tmp_path / "lamp.json")
+    with Tab(browser, builder.address) as tab:
+        tab.opens("Files")
+        tab.type("File", "lamp.json")
+        tab.click("Open")
+        tab.sees("lamp.json · saved")
+        before = builder.draft
+        tab.opens("Build")
+        tab.choose("Part", "upper_arm")
+        tab.choose("Drag", "part")
+        dragged_m = SIZE_RADII * builder.page.scene.radius_m
+        place_m = np.array(part_gizmo(before, "upper_arm", before.usual_states())[1])
+        for _ in range(5):  # until the gizmo is drawn a drag turns the camera
+            start, end = (place_m + share * dragged_m * np.array([0.0, 0.0, 1.0]) for share in (0.7, 1.7))
+            camera = builder.page.server.initial_camera
+            tab.drags(tab.pixel(camera, start), tab.pixel(camera, end))
+            if builder.draft is not before:
+                break
+            tab.click("Look at all")
+        tab.sees("Last: drag upper_arm.")
+        moved_m = np.array(part_gizmo(builder.draft, "upper_arm", before.usual_states())[1]) - place_m
+        np.testing.assert_allclose(moved_m[:2], 0.0, atol=1e-9)
+        assert moved_m[2] == pytest.approx(dragged_m, rel=0.1)
+        tab.click("Undo")
+        tab.sees("lamp.json · saved")
+        assert to_text(builder.draft) == to_text(before)
+
+
+def test_it_is_played_downloaded_and_uploaded_and_a_long_fit_is_cancelled(browser: Any, builder: Builder):
+    with Tab(browser, builder.address) as tab:
+        tab.click("Add")
+        tab.sees("part · part_joint, revolute")
+        drawn = to_text(builder.draft)
+        tab.opens("Try")
+        tab.click("Play")
+        tab.page.get_by_text(re.compile(r"Frame \d\d, seed 0")).wait_for()
+        tab.click("Pause")
+        tab.click("Stop")
+        tab.sees("Not playing.")
+
+        tab.opens("Files")
+        with tab.page.expect_download() as download:
+            tab.click("kinematics.json")
+        assert Path(download.value.path()).read_text("utf-8") == drawn
+        upload = {"name": "mine.json", "mimeType": "application/json", "buffer": drawn.encode()}
+        tab.page.locator("input[type=file]").set_input_files(upload)
+        tab.sees("draft.json has unsaved changes, which opening another loses.")
+        tab.click("Open all the same")
+        tab.sees("mine.json · in no file yet")
+        assert to_text(builder.draft) == drawn
+        tab.page.locator("input[type=file]").set_input_files(upload | {"buffer": b"{"})
+        tab.sees("mine.json is no JSON")
+        assert to_text(builder.draft) == drawn
+
+        tab.opens("Try")
+        tab.type("Frames", 2000)
+        tab.type("Inflation", 4)
+        tab.click("Simulate and fit")
+        tab.page.get_by_role("button", name="Simulate and fit", disabled=True).wait_for()
+        tab.click("Cancel the fit")
+        tab.sees("the fit was ended before it was done")
+        tab.page.get_by_role("button", name="Simulate and fit", disabled=False).wait_for()
+        tab.click("Simulate and fit")
+        tab.page.get_by_role("button", name="Simulate and fit", disabled=True).wait_for()
+        tab.click("Play")  # the builder ends with both under way, and leaves nothing behind

@@ -128,13 +128,13 @@ def sweep(
     )
     with _telling_how_to_go_on(out, grid), progress() as bar:
         bar.stage("sweep")
-        result = sweeping.sweep(
-            out,
-            grid,
-            workers=sweeping.workers_at(executor, workers),
-            force=force,
-            progress=lambda done, total: bar.count(done, total, "fits"),
-        )
+
+        def count(done: int, total: int) -> None:
+            bar.count(done, total, "fits")
+            if done == total:
+                bar.stage("figures")
+
+        result = sweeping.sweep(out, grid, workers=sweeping.workers_at(executor, workers), force=force, progress=count)
     _show(result, sweeping.summary(result.sweep), as_json)
 
 

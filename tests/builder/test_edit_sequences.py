@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 from hypothesis import given, settings
@@ -20,11 +21,24 @@ from station.simulate import SimulationOptions, simulate
 
 NAMES = ("base", "arm", "hand", "lid", "part", "Bad Name", "")
 TYPES = (*JOINT_TYPES, "hinge")
-names, types = st.sampled_from(NAMES), st.sampled_from(TYPES)
+
+
+@dataclass(frozen=True)
+class Nth:
+    """One of the parts that are there, so that most edits find one."""
+
+    number: int
+
+    def of(self, draft: Draft) -> str:
+        return draft.parts[self.number % len(draft.parts)]
+
+
+names = st.builds(Nth, st.integers(0, 9)) | st.sampled_from(NAMES)
+new_names, types = st.sampled_from(NAMES), st.sampled_from(TYPES)
 lengths = st.floats(-2.0, 2.0) | st.sampled_from([0.0, 1e9, float("nan"), float("inf")])
 vectors = st.tuples(lengths, lengths, lengths)
 quaternions = st.tuples(*[st.floats(-1.0, 1.0)] * 4)
-ids = st.integers(-1, 51)
+ids = st.integers(0, 3) | st.integers(-1, 51)
 
 Edit = Callable[[Draft, dict[str, float]], Draft]
 
@@ -36,15 +50,18 @@ def above(draft: Draft, part: str) -> str:
 
 
 def edit(*arguments: st.SearchStrategy[object], does: Callable[..., Draft]) -> st.SearchStrategy[Edit]:
-    return st.tuples(*arguments).map(lambda given: lambda draft, states: does(draft, states, *given))
+    def change(given: tuple[object, ...]) -> Edit:
+        return lambda draft, states: does(draft, states, *(x.of(draft) if isinstance(x, Nth) else x for x in given))
+
+    return st.tuples(*arguments).map(change)
 
 
 EDITS = st.one_of(
-    edit(names, names, types, does=lambda d, s, *a: edits.add_part(d, *a)),
-    edit(names, names, types, does=lambda d, s, *a: edits.add_part(d, *a)),  # twice: trees shall grow
+    edit(new_names, names, types, does=lambda d, s, *a: edits.add_part(d, *a)),
+    edit(names, types, does=lambda d, s, parent, type: edits.add_part(d, None, parent, type)),
     edit(types, does=lambda d, s, type: edits.add_part(d, type=type)),
-    edit(names, names, does=lambda d, s, *a: edits.rename_part(d, *a)),
-    edit(names, names, does=lambda d, s, a, b: edits.rename_joint(d, above(d, a), b)),
+    edit(names, new_names, does=lambda d, s, *a: edits.rename_part(d, *a)),
+    edit(names, new_names, does=lambda d, s, a, b: edits.rename_joint(d, above(d, a), b)),
     edit(names, does=lambda d, s, *a: edits.delete_part(d, *a)),
     edit(names, does=lambda d, s, *a: edits.delete_branch(d, *a)),
     edit(names, names, does=lambda d, s, *a: edits.set_parent(d, *a)),
@@ -57,6 +74,7 @@ EDITS = st.one_of(
     edit(names, quaternions, vectors, does=lambda d, s, *a: placing.place_part(d, *a, s)),
     edit(names, vectors, vectors, does=lambda d, s, *a: placing.set_zero(d, *a)),
     edit(names, lengths, ids | st.none(), does=lambda d, s, *a: marking.add_marker(d, *a)),
+    edit(names, does=lambda d, s, *a: marking.add_marker(d, *a)),
     edit(ids, does=lambda d, s, *a: marking.delete_marker(d, *a)),
     edit(ids, ids, names, does=lambda d, s, a, b, c: marking.change_marker(d, a, new_id=b, part=c)),
     edit(ids, quaternions, vectors, does=lambda d, s, *a: marking.place_marker(d, *a, s)),
@@ -98,7 +116,16 @@ def test_a_saved_draft_is_read_back_as_it_was(sequence: list[Edit]):
     draft = edited(sequence)[-1].draft
     again = from_text(to_text(draft), f"{draft.name}.json")
     assert to_text(again) == to_text(draft) and again.name == draft.name
-    assert [marker.id for marker in again.markers] == [marker.id for marker in draft.markers]
+    for old, new in zip(draft.markers, again.markers, strict=True):
+        assert (old.id, old.part, old.size_m) == (new.id, new.part, new.size_m)
+        np.testing.assert_array_equal(old.mount, new.mount)
+    for old, new in zip(draft.blocks, again.blocks, strict=True):
+        assert (old.part, old.colour, old.size_m.tolist()) == (new.part, new.colour, new.size_m.tolist())
+        np.testing.assert_array_equal(old.T_part_block, new.T_part_block)
+    for old, new in zip(draft.joints, again.joints, strict=True):
+        assert (old.name, old.type, old.parent, old.child) == (new.name, new.type, new.parent, new.child)
+        assert (old.limits, old.pitch_m_per_rad) == (new.limits, new.pitch_m_per_rad)
+        np.testing.assert_array_equal(old.T_parent_child_zero, new.T_parent_child_zero)
 
 
 @settings(max_examples=40, deadline=None)

@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 
 from station.builder.draft import Draft, blank, limits_of
-from station.builder.edits import add_part, set_limits, set_type
+from station.builder.edits import add_part, moved_joint, set_limits, set_type
 from station.builder.placing import set_axis
 from station.builder.playing import TrialSettings, start_play
 from station.builder.trial import HEADER, run_trial
 from station.errors import InvalidData
 from station.kinematics import se3
+from station.kinematics.tree import Joint
 from tests.drawn_objects import drawer_cabinet, swivel_chair
 
 QUIET = TrialSettings(frames=40, noise_translation_m=1e-4, noise_rotation_rad=1e-3)
@@ -100,6 +101,34 @@ def test_found_axes_are_drawn_where_the_true_ones_are(inflation: int):
             on_axis = [line for line, s in zip(lines, sine, strict=True) if s < 0.02]
             off = min(np.linalg.norm(np.cross(axis, point - line.points_m[0])) for line in on_axis)
             assert off < 2e-3, best  # m
+
+
+def test_an_axis_found_on_a_virtual_tracker_is_drawn_where_that_tracker_is():
+    trial = run_trial(swivel_chair(), replace(QUIET, inflation=1))
+    true, truth = trial.simulated.tree, trial.simulated.truth
+    at = [truth.T_ref_part[0, truth.parts.index(part)] for part in ("column", "column_v1")]
+    T_tracker_column = se3.inverse(at[1]) @ at[0]
+
+    def told(joint: Joint) -> Joint:
+        """The true joint as a fit would tell it that names the column by its virtual tracker."""
+        if joint.parent == "column":
+            return replace(moved_joint(joint, T_tracker_column), parent="column_v1")
+        if joint.child == "column":
+            zero = joint.T_parent_child_zero @ se3.inverse(T_tracker_column)
+            return replace(joint, child="column_v1", T_parent_child_zero=zero)
+        return joint
+
+    names = tuple("column_v1" if name == "column" else name for name in true.trees[0])
+    found = replace(true, trees=(names,), joints=tuple(map(told, true.joints)))
+    states = {"height": 0.05, "swivel": 0.4, "recline": 0.1}
+    as_drawn = replace(trial, fit=replace(trial.fit, tree=true)).found_lines(states)
+    as_found = replace(trial, fit=replace(trial.fit, tree=found)).found_lines(states)
+    assert len(as_found) == len(as_drawn) == 2 * len(true.joints)
+    for joint, line, want in zip(true.joints, as_found[::2], as_drawn[::2], strict=True):
+        axis = want.points_m[1] - want.points_m[0]
+        np.testing.assert_allclose(line.points_m[1] - line.points_m[0], axis, atol=1e-9)
+        if joint.point_parent_m is not None:  # an axis without a point may be drawn anywhere
+            np.testing.assert_allclose(np.cross(axis, line.points_m - want.points_m[0]), 0.0, atol=1e-9)
 
 
 def test_rigid_joints_and_balls_are_tried_as_well():

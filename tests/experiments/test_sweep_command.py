@@ -34,7 +34,8 @@ def door(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def made_up(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Rows are made up, in this thread: what the command says of them is to be seen."""
+    """Rows are made up, in this thread, and nothing is drawn: what the command says of them is to be seen."""
+    monkeypatch.setattr("station.report.figure5.write_figure5", lambda sweep, folder: ())
     monkeypatch.setattr(sweep_module, "run_cells", made_up_cells)
     monkeypatch.setattr(sweep_module, "Processes", lambda: Here())
     monkeypatch.setattr("station.commands.sweeping.Processes", lambda count: Here())
@@ -55,7 +56,7 @@ def test_a_sweep_without_options_is_experiment_1_by_both_methods(station: Statio
 def test_any_grid_is_told_by_flags(station: Station, tmp_path: Path, door: Path):
     noise = (
         "--noise-translation-m",
-        "0,0.01,0.02",
+        "0.001,0.01,0.02",
         "--noise-rotation-rad",
         "0.05",
         "--noise",
@@ -71,7 +72,7 @@ def test_any_grid_is_told_by_flags(station: Station, tmp_path: Path, door: Path)
     grid = read_sweep(tmp_path / "out").grid
     assert [named.name for named in grid.trees] == ["door", "swivel_chair"] and grid.methods == ("paper",)
     assert [(level.translation_m, level.rotation_rad) for level in grid.noise] == [
-        (0, 0.05),
+        (0.001, 0.05),
         (0.01, 0.05),
         (0.02, 0.05),
     ]

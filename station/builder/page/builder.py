@@ -29,30 +29,30 @@ class Builder:
     """The tree builder while it is open.
 
     Attributes:
+        page: with all that is shown; its event loop is another thread's.
         address: where a browser finds it.
-        path: of the file that is open.
         was_recovered: whether what is open are changes that an earlier run left unsaved.
     """
 
     def __init__(self, page: Page, url: str, *, was_recovered: bool) -> None:
-        self._page, self.address, self.was_recovered = page, url, was_recovered
+        self.page, self.address, self.was_recovered = page, url, was_recovered
 
     @property
     def path(self) -> Path:
         """Of the file that is open."""
-        return self._page.path
+        return self.page.path
 
     @property
     def draft(self) -> Draft:
         """What is open, as it is now."""
-        return self._page.draft
+        return self.page.draft
 
     def left(self) -> str | None:
         """What has become of changes that aren't saved, in a sentence; None if there are none."""
-        if not self._page.desk.unsaved:
+        if not self.page.desk.unsaved:
             return None
-        if self._page.trouble_aside is not None:
-            return f"unsaved changes of {self.path.name} are lost: {self._page.trouble_aside}"
+        if self.page.trouble_aside is not None:
+            return f"unsaved changes of {self.path.name} are lost: {self.page.trouble_aside}"
         return (
             f"unsaved changes of {self.path.name} are kept in {aside(self.path)}; "
             "the builder takes them up when it is started here with that file again"
@@ -79,11 +79,12 @@ def building(tree: str | None, host: str, port: int) -> Iterator[Builder]:
         desk = desk.edited(found, "take up unsaved changes of an earlier run")
     with serving(host, port) as server:
         page = Page(server, desk, path, in_file=in_file)
-        fitter = _furnished(page)
+        under_way = _furnished(page)
         try:
             yield Builder(page, address(host, port), was_recovered=desk.unsaved)
         finally:
-            fitter.close()
+            for each in under_way:
+                each.close()
 
 
 def opened(tree: str | None) -> tuple[Draft, Path, bool]:
@@ -101,8 +102,8 @@ def opened(tree: str | None) -> tuple[Draft, Path, bool]:
     return draft, path, is_drawn(path)
 
 
-def _furnished(page: Page) -> Fitter:
-    """Add the controls to a page, and show it."""
+def _furnished(page: Page) -> tuple[Player, Fitter]:
+    """Add the controls to a page, and show it; what is to be closed at the end."""
     gui = page.server.gui
     head = Head(page)
     tabs = gui.add_tab_group()
@@ -117,7 +118,7 @@ def _furnished(page: Page) -> Fitter:
         player, fitter = Player(page, settings), Fitter(page, settings)
     with tabs.add_tab("Files"):
         files = Files(page)
-    page.add(head, parts, form, markers, shape, gizmo, moving, player, fitter, files)
+    page.add(head, parts, form, markers, shape, moving, player, gizmo, fitter, files)
 
     def seen(picture: Picture) -> Picture:
         return fitter.seen(player.seen(picture))
@@ -125,4 +126,4 @@ def _furnished(page: Page) -> Fitter:
     page.picture = seen
     page.look()
     page.refresh()
-    return fitter
+    return player, fitter

@@ -58,6 +58,8 @@ class Gizmo:
 
     def _pose(self) -> tuple[tuple[float, ...], tuple[float, ...]] | None:
         page, draft, what = self._page, self._page.draft, self._choice.value
+        if page.playing:
+            return None
         joint = draft.joint_above(page.selected)
         if what == AXIS and joint is not None and joint.kind.states:
             return placing.axis_gizmo(draft, joint.name, page.desk.states)

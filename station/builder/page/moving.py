@@ -10,6 +10,8 @@ from station.builder.page.page import Page
 if TYPE_CHECKING:
     from viser import GuiSliderHandle
 
+# That the field beside a slider shows, of degrees or mm.
+DECIMALS = 2
 REST, ENDS = "All at rest", ("Lower ends", "Upper ends")
 
 
@@ -51,6 +53,7 @@ class Moving:
                     float(min(max(state, slider.low), slider.high)),
                     marks=tuple((float(end), f"{end:.4g}") for end in (slider.low, slider.high)),
                 )
+                handle.precision = DECIMALS
                 handle.on_update(self._page.acting(self._mover(slider)))
                 self._handles[slider.column] = handle
 

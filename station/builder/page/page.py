@@ -45,6 +45,7 @@ class Page:
         path: where the draft is saved, and beside which it is put aside until then.
         in_file: whether the file there is this draft's.
         selected: the part that the controls are about.
+        playing: whether something else than the draft at its sliders' states is seen.
         picture: of what is played or tried beside the draft; None of the draft alone.
     """
 
@@ -53,6 +54,7 @@ class Page:
         self.selected = desk.draft.tree.root
         self.picture: Callable[[Picture], Picture] = lambda picture: picture
         self.scene = Scene(server, self._clicked)
+        self.playing = False
         self._shown: list[Shows] = []
         self.trouble_aside: str | None = None
 

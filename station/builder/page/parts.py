@@ -14,7 +14,7 @@ from station.builder.page.page import Page
 from station.kinematics.joint import Joint
 from station.kinematics.joints import JOINT_TYPES
 
-ADD, ROOT, DELETE, PRUNE = "Add", "Make root", "Delete", "Delete with all below"
+ADD, ROOT, DELETE, PRUNE = "Add", "Make root", "Delete", "Delete branch"
 
 
 class Parts:
@@ -26,8 +26,8 @@ class Parts:
         self._tree = gui.add_markdown("")
         self._part = gui.add_dropdown("Part", (page.selected,), hint="Or click a part in the scene.")
         self._part.on_update(page.acting(lambda event: page.select(event.target.value)))
-        self._whole = gui.add_button_group("", (ADD, ROOT, DELETE, PRUNE))
-        self._whole.on_click(page.acting(self._change))
+        for names in ((ADD, ROOT), (DELETE, PRUNE)):
+            gui.add_button_group("", names).on_click(page.acting(self._change))
 
     def refresh(self) -> None:
         """Show the tree as a list."""
@@ -69,8 +69,8 @@ class JointForm:
         with self._form:
             self._name = TextField(gui, "Name", hint="Lower case letters, digits and _.")
             self._joint = TextField(gui, "Joint name")
-            self._low = NumberField(gui, "Lower limit")
-            self._high = NumberField(gui, "Upper limit")
+            self._low = NumberField(gui, "Lower", hint="Limit of the joint's state.")
+            self._high = NumberField(gui, "Upper", hint="Limit of the joint's state.")
             self._axis = NumberField(gui, "Axis", count=3, step=0.1, hint="Direction in the parent's frame.")
             self._point = NumberField(gui, "Axis at [mm]", count=3, hint="A point of it in the parent's frame.")
             self._pitch = NumberField(gui, "Pitch [mm/rad]", hint="Advance of a screw.")
@@ -110,7 +110,7 @@ class JointForm:
         moves = joint is not None and joint.kind.states > 0
         unit, per_unit = ("", 1.0) if joint is None else shown_unit(joint)
         limits = limits_of(joint) if moves and joint is not None else None
-        for field, name, k in ((self._low, "Lower limit", 0), (self._high, "Upper limit", 1)):
+        for field, name, k in ((self._low, "Lower", 0), (self._high, "Upper", 1)):
             value = None if limits is None else (limits[k] / per_unit,)
             field.show(value, label=f"{name} [{unit}]", again=again)
         axis = None if joint is None else joint.axis_parent

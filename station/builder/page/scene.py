@@ -30,9 +30,9 @@ VIEW_FROM = np.array([1.0, -1.6, 0.9]) / np.linalg.norm([1.0, -1.6, 0.9])
 OPENING_RAD = np.radians(40.0)
 DISTANCE_RADII = 3.2
 # Nothing is taken for smaller than this: a draft of one small part.
-LEAST_RADIUS_M = 0.05
+LEAST_RADIUS_M = 0.25
 # Of the radius: the axes of the selected part and of measured poses, and how far above a part its name stands.
-AXES_RADII, MEASURED_RADII, NAME_RADII = 0.25, 0.12, 0.04
+AXES_RADII, MEASURED_RADII, NAME_RADII = 0.25, 0.2, 0.04
 
 
 @dataclass(frozen=True)
@@ -205,7 +205,7 @@ class Scene:
         length = MEASURED_RADII * self.radius_m
         return MEASURED, Wanted(
             T.tobytes(),
-            lambda name: self._scene.add_batched_axes(name, wxyz, xyz, axes_length=length, axes_radius=length / 20),
+            lambda name: self._scene.add_batched_axes(name, wxyz, xyz, axes_length=length, axes_radius=length / 40),
         )
 
 

@@ -13,6 +13,7 @@ import numpy as np
 from station.builder.draft import Draft
 from station.builder.page.controls import MM_PER_M
 from station.builder.page.fit_apart import FitApart
+from station.builder.page.found import found_html
 from station.builder.page.page import Page
 from station.builder.page.scene import Picture
 from station.builder.playing import Play, start_play
@@ -71,6 +72,14 @@ class Player:
         self._play: Play | None = None
         self._timer: asyncio.TimerHandle | None = None
 
+    def close(self) -> None:
+        """Stop, before the event loop does; from another thread."""
+
+        async def pause() -> None:
+            self._pause()
+
+        asyncio.run_coroutine_threadsafe(pause(), self._page.server.get_event_loop()).result()
+
     @property
     def running(self) -> bool:
         """Whether frames follow by themselves."""
@@ -84,6 +93,7 @@ class Player:
             self._play = self._play.with_settings(settings) if same else start_play(draft, settings)
         if self._play is not None and self._play.draft is not draft:
             self._play = start_play(draft, settings)
+        self._page.playing = self._play is not None
         text = "Not playing." if self._play is None else f"Frame {self._play.frame}, seed {settings.seed}."
         if text != self._text.content:
             self._text.content = text
@@ -146,7 +156,7 @@ class Fitter:
         self._busy = gui.add_progress_bar(100.0, animated=True, visible=False)
         self._overlay = gui.add_checkbox("Show found", True, hint="Axes that were found, over the draft's own.")
         self._overlay.on_update(page.acting(lambda _: None))
-        self._text = gui.add_markdown("")
+        self._text = gui.add_html("")
         self._trial: Trial | None = None
         self._of: Draft | None = None
         self._under_way: FitApart | None = None
@@ -174,8 +184,7 @@ class Fitter:
     def _told(self) -> str:
         if self._trial is None:
             return ""
-        stale = "" if self._of is self._page.draft else "*Of the tree before it was changed.*\n\n"
-        return stale + self._trial.markdown()
+        return found_html(self._trial, is_older=self._of is not self._page.draft)
 
     def _start(self, event: Any) -> None:
         if self._under_way is not None:
