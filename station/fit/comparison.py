@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from station.fit import pairwise
-from station.fit.bodies import Bodies, oriented_pairs, pair_tracks
+from station.fit.bodies import Bodies, counted_tracks, oriented_pairs
 from station.fit.pairwise import COST_TOLERANCE, LM_ITERATIONS, JointFit, PairTracks
 from station.fit.parallel import each, pieces
 from station.fit.rare_motion import moved_rarely
@@ -96,8 +96,8 @@ def _fit_types(tracks: PairTracks, joint_types: Sequence[str], effort: Effort) -
 def fit_pairs(
     bodies: Bodies, pairs: IntArray, joint_types: Sequence[str], criterion: str
 ) -> tuple[Mapping[str, JointFit], Scores, PairTracks]:
-    """All types fitted to all frames of pairs (P, 2) as they are oriented, and scored."""
-    tracks = pair_tracks(bodies, pairs)
+    """All types fitted to all frames that count of pairs (P, 2) as they are oriented, and scored."""
+    tracks = counted_tracks(bodies, pairs)
     work = pieces(len(pairs), len(bodies.seen))
     found = each(lambda piece: _fit_types(tracks.take(piece), joint_types, FITTING), work)
     fits = {name: JointFit.all_of([fit[name] for fit in found]) for name in joint_types}
@@ -228,7 +228,7 @@ def _look(
     bodies: Bodies, table: PairTable, rows: IntArray, joint_types: Sequence[str], effort: Effort
 ) -> tuple[Scores, FloatArray, FloatArray]:
     """Scores of some pairs, weights for all frames that count, and the likeliest types' scales (P, S) and T_a_b."""
-    tracks = pair_tracks(bodies, table.pairs[rows], at_most=effort.frames)
+    tracks = counted_tracks(bodies, table.pairs[rows], at_most=effort.frames)
     fits = _fit_types(tracks, joint_types, effort)
     scores = score_fits(fits, tracks, table.scores.criterion)
     best = np.argmin(np.stack([scores.by_type[name] for name in fits]), axis=0)
