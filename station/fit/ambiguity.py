@@ -17,11 +17,11 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from station.fit.bodies import Bodies, counted_tracks, oriented_pairs
-from station.fit.comparison import MIN_FRAMES
+from station.fit.asking import COMPARING, Asking, Explained, ask
+from station.fit.bodies import Bodies, oriented_pairs
+from station.fit.comparison import MIN_FRAMES, question_of
 from station.fit.noise import INLIER_ABOVE, time_of_correlation
-from station.fit.pairwise import JointFit, fit_types
-from station.fit.selection import score_fits
+from station.fit.pairwise import JointFit
 from station.fit.state_spread import continuous_states
 from station.fit.structure import components, outward, spanning_forest
 from station.fit.tree_reading import REFERENCE, Structure
@@ -36,8 +36,6 @@ STEPS = 40
 STILL_ODDS = 3.0
 # Odds below which an alternative is worth telling.
 SURE_ODDS = 10.0
-# Frames of a pair, least squares steps and their tolerance: as for comparing pairs.
-FRAMES, ITERATIONS, TOLERANCE = 200, 10, 0.1
 # Angle [rad] between two motions below which a pair is looked at; a turn of one radian counts as TURN_M.
 ALIKE_RAD, TURN_M = float(np.radians(15.0)), 0.3
 # Ratio of variances of residuals: a pair that fits so much worse than the tree's joints is none.
@@ -63,13 +61,16 @@ class _Slides:
     fits: tuple[JointFit, ...]
 
     @staticmethod
-    def of(bodies: Bodies, pairs: IntArray, joint_types: Sequence[str]) -> _Slides:
+    def of(bodies: Bodies, pairs: IntArray, joint_types: Sequence[str]) -> Asking[_Slides]:
         pairs = oriented_pairs(bodies, pairs)
-        tracks = counted_tracks(bodies, pairs, at_most=FRAMES)
-        fits = fit_types(tracks, joint_types, iterations=ITERATIONS, tolerance=TOLERANCE)
-        scores = score_fits(fits, tracks, "evidence", free=False)
-        best = [scores.best_type(i) for i in range(len(pairs))]
-        return _Slides(pairs, tuple(fits[name].take(np.array([i])) for i, name in enumerate(best)))
+
+        def told(found: Explained) -> list[JointFit]:
+            best = [found.scores.best_type(i) for i in range(len(found.tracks.seen))]
+            return [found.fits[name].take(np.array([i])) for i, name in enumerate(best)]
+
+        question = question_of(bodies, pairs, joint_types, COMPARING, "evidence", free=False, told=told)
+        found = yield from ask(question)
+        return _Slides(pairs, tuple(fit for piece in found for fit in piece))
 
     def take(self, rows: Sequence[int]) -> _Slides:
         return _Slides(self.pairs[list(rows)], tuple(self.fits[i] for i in rows))
@@ -78,16 +79,16 @@ class _Slides:
         return _Slides(np.concatenate([self.pairs, other.pairs]), (*self.fits, *other.fits))
 
 
-def settled(structure: Structure, joint_types: Sequence[str]) -> tuple[Structure, tuple[Doubt, ...]]:
+def settled(structure: Structure, joint_types: Sequence[str]) -> Asking[tuple[Structure, tuple[Doubt, ...]]]:
     """The structure with the likeliest edges among bodies that move along one line, and which are in doubt."""
     movable = [name for name in joint_types if JOINT_TYPES[name].states == 1]
     if len(structure.edges) < 2 or not movable:
         return structure, ()
-    slides = _Slides.of(structure.bodies, structure.edges, movable)
+    slides = yield from _Slides.of(structure.bodies, structure.edges, movable)
     edges, doubts = list(range(len(slides.pairs))), list[Doubt]()
     kept: list[tuple[int, int]] = []
     for rows in _along_one_line(slides):  # such lines are few
-        chosen, doubted = _settled_line(structure, slides.take(rows), movable)
+        chosen, doubted = yield from _settled_line(structure, slides.take(rows), movable)
         kept += chosen
         doubts += doubted
         edges = [edge for edge in edges if edge not in rows]
@@ -145,7 +146,7 @@ def _mean_pose(slides: _Slides, k: int, body: int) -> FloatArray:
 
 def _settled_line(
     structure: Structure, edges: _Slides, joint_types: Sequence[str]
-) -> tuple[list[tuple[int, int]], list[Doubt]]:
+) -> Asking[tuple[list[tuple[int, int]], list[Doubt]]]:
     """The cheapest tree of the bodies of these edges, and what speaks for others."""
     bodies = sorted({int(body) for body in edges.pairs.ravel()})
     known = {_pair(pair) for pair in edges.pairs}
@@ -156,7 +157,8 @@ def _settled_line(
     ]
     if not others:
         return list(known), []
-    candidates = _Slides.of(structure.bodies, np.array(others, dtype=np.intp).reshape(-1, 2), joint_types)
+    pairs = np.array(others, dtype=np.intp).reshape(-1, 2)
+    candidates = yield from _Slides.of(structure.bodies, pairs, joint_types)
     worst = max(float(fit.model.scales.max()) for fit in edges.fits)
     as_good = [
         i

@@ -191,7 +191,7 @@ def pair_tracks(bodies: Bodies, pairs: IntArray, *, rows: IntArray | None = None
         noise = unknown_noise(T_a_b, bodies.noisy[a[:, 0]], bodies.noisy[b[:, 0]])
     else:
         noise = given_noise(T_a_b, bodies.covariance[rows, a], bodies.covariance[rows, b], bodies.least_scale)
-    return PairTracks(T_a_b, seen, oriented, noise, bodies.scene_m3)
+    return PairTracks(T_a_b, seen, oriented, noise, np.full(len(pairs), bodies.scene_m3))
 
 
 def _spread_rows(counted: BoolArray, at_most: int) -> IntArray:

@@ -2,28 +2,30 @@
 
 All pairs are looked at in a few frames. The edges of the minimum spanning forest over those weights, and all pairs that
 could still be in it if a careful look made them as much better as it ever does, are then fitted with care, until every
-edge of the forest is. Pieces of pairs run on all cores and keep memory bounded; what is found doesn't depend on them.
+edge of the forest is.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from station.fit import pairwise
+from station.fit.asking import COMPARING, FITTING, SCREENING, Asking, Effort, Explained, Question, ask
 from station.fit.bodies import Bodies, counted_tracks, oriented_pairs
-from station.fit.pairwise import COST_TOLERANCE, LM_ITERATIONS, JointFit, PairTracks
-from station.fit.parallel import each, pieces
+from station.fit.pairwise import JointFit, PairTracks
 from station.fit.rare_motion import moved_rarely
-from station.fit.selection import Scores, score_fits
+from station.fit.selection import Scores
 from station.fit.structure import contenders, spanning_forest
 from station.logs import FloatArray
 
 BoolArray = NDArray[np.bool_]
 IntArray = NDArray[np.intp]
+Told = TypeVar("Told")
 
 # Common frames that a pair needs: below, the 11 numbers of a revolute joint and its states fit whatever noise there is.
 MIN_FRAMES = 10
@@ -38,21 +40,6 @@ FEW_PAIRS = 15
 # How much better than the first look a careful one may make a pair, in -2 log likelihood of a frame: on simulated trees
 # it is 0.5 at the median and 3.2 at most.
 SCREEN_MARGIN = 6.0
-
-
-@dataclass(frozen=True)
-class Effort:
-    """Frames of a pair to look at, spread evenly (None: all), least squares steps at most, and when they are enough."""
-
-    frames: int | None
-    iterations: int
-    tolerance: float
-
-
-SCREENING = Effort(frames=64, iterations=2, tolerance=0.1)
-# Tells a pair's type and whether it is an edge; the tree's joints are fitted to all frames.
-COMPARING = Effort(frames=200, iterations=10, tolerance=0.1)
-FITTING = Effort(frames=None, iterations=LM_ITERATIONS, tolerance=COST_TOLERANCE)
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,22 +73,38 @@ class PairTable:
 
 def fit_types(tracks: PairTracks, joint_types: Sequence[str], *, quickly: bool) -> dict[str, JointFit]:
     """Every type fitted to all pairs; pairs without orientations by their positions."""
-    return _fit_types(tracks, joint_types, COMPARING if quickly else FITTING)
-
-
-def _fit_types(tracks: PairTracks, joint_types: Sequence[str], effort: Effort) -> dict[str, JointFit]:
+    effort = COMPARING if quickly else FITTING
     return pairwise.fit_types(tracks, joint_types, iterations=effort.iterations, tolerance=effort.tolerance)
+
+
+def question_of(
+    bodies: Bodies,
+    pairs: IntArray,
+    joint_types: Sequence[str],
+    effort: Effort,
+    criterion: str,
+    *,
+    free: bool | None,
+    told: Callable[[Explained], Told],
+) -> Question[Told]:
+    """About pairs (P, 2) of bodies as they are oriented, by frames that count."""
+
+    def tracks(rows: IntArray) -> PairTracks:
+        return counted_tracks(bodies, pairs[rows], at_most=effort.frames)
+
+    return Question(len(pairs), len(bodies.seen), tracks, tuple(joint_types), effort, criterion, free, told)
 
 
 def fit_pairs(
     bodies: Bodies, pairs: IntArray, joint_types: Sequence[str], criterion: str
-) -> tuple[Mapping[str, JointFit], Scores, PairTracks]:
+) -> Asking[tuple[dict[str, JointFit], Scores]]:
     """All types fitted to all frames that count of pairs (P, 2) as they are oriented, and scored."""
-    tracks = counted_tracks(bodies, pairs)
-    work = pieces(len(pairs), len(bodies.seen))
-    found = each(lambda piece: _fit_types(tracks.take(piece), joint_types, FITTING), work)
-    fits = {name: JointFit.all_of([fit[name] for fit in found]) for name in joint_types}
-    return fits, score_fits(fits, tracks, criterion), tracks
+    question = question_of(
+        bodies, pairs, joint_types, FITTING, criterion, free=None, told=lambda found: (found.fits, found.scores)
+    )
+    found = yield from ask(question)
+    fits = {name: JointFit.all_of([fits[name] for fits, _ in found]) for name in joint_types}
+    return fits, Scores.all_of([scores for _, scores in found])
 
 
 def compare_pairs(
@@ -111,7 +114,7 @@ def compare_pairs(
     criterion: str,
     *,
     only_rigid: BoolArray | None = None,
-) -> PairTable:
+) -> Asking[PairTable]:
     """Fit and score pairs (P, 2) of bodies; pairs with too few common frames get infinite scores.
 
     Args:
@@ -126,25 +129,27 @@ def compare_pairs(
     table = _nothing_known(bodies, pairs, joint_types, criterion)
     todo = table.enough
     if todo.sum() > FEW_PAIRS:
-        table = _looked_at(bodies, table, todo, joint_types, SCREENING)
+        table = yield from _looked_at(bodies, table, todo, joint_types, SCREENING)
         todo = _undecided(table, barred, len(bodies.names))
     while todo.any():  # what a careful look finds may make contenders of other pairs
-        table = _looked_at(bodies, table, todo, joint_types, COMPARING)
+        table = yield from _looked_at(bodies, table, todo, joint_types, COMPARING)
         todo = _undecided(table, barred, len(bodies.names))
         if not todo.any():
-            table = _with_rare_motion(bodies, table, barred, joint_types)
+            table = yield from _with_rare_motion(bodies, table, barred, joint_types)
             todo = _undecided(table, barred, len(bodies.names))
     return table
 
 
-def _with_rare_motion(bodies: Bodies, table: PairTable, barred: BoolArray, joint_types: Sequence[str]) -> PairTable:
+def _with_rare_motion(
+    bodies: Bodies, table: PairTable, barred: BoolArray, joint_types: Sequence[str]
+) -> Asking[PairTable]:
     """The table with all frames of the forest's rigid edges looked at, until each is."""
     while True:
         edges = spanning_forest(len(bodies.names), table.pairs, _edge_weights(table, barred))
         new = edges[table.rigid[edges] & ~table.still[edges]]
         if not new.size:
             return table
-        found = moved_rarely(bodies, table.pairs[new], table.T_a_b[new], table.scales[new], joint_types)
+        found = yield from moved_rarely(bodies, table.pairs[new], table.T_a_b[new], table.scales[new], joint_types)
         still, moved = table.still.copy(), table.moved.copy()
         still[new], moved[new] = ~found, found
         table = replace(table, still=still, moved=moved, rigid=table.rigid & ~moved)
@@ -203,11 +208,15 @@ def _nothing_known(bodies: Bodies, pairs: IntArray, joint_types: Sequence[str], 
 
 def _looked_at(
     bodies: Bodies, table: PairTable, todo: BoolArray, joint_types: Sequence[str], effort: Effort
-) -> PairTable:
+) -> Asking[PairTable]:
     """The table after a look at some of its pairs (P,)."""
     rows = np.flatnonzero(todo)
-    frames = len(bodies.seen) if effort.frames is None else min(len(bodies.seen), effort.frames)
-    looks = each(lambda piece: _look(bodies, table, rows[piece], joint_types, effort), pieces(len(rows), frames))
+    criterion = table.scores.criterion
+    looks = yield from ask(
+        question_of(bodies, table.pairs[rows], joint_types, effort, criterion, free=None, told=_Look.of)
+    )
+    seen = np.concatenate([look.seen for look in looks])
+    scores = Scores.all_of([look.scores for look in looks]).counted_for(table.counted[rows] / seen)
 
     def with_found(before: FloatArray, found: Sequence[FloatArray]) -> FloatArray:
         after = before.copy()
@@ -217,25 +226,30 @@ def _looked_at(
     found = replace(
         table,
         careful=table.careful | (todo & (effort is not SCREENING)),
-        scores=table.scores.with_rows(rows, [scores for scores, _, _ in looks]),
-        scales=with_found(table.scales, [scales for _, scales, _ in looks]),
-        T_a_b=with_found(table.T_a_b, [T_a_b for _, _, T_a_b in looks]),
+        scores=table.scores.with_rows(rows, scores),
+        scales=with_found(table.scales, [look.scales for look in looks]),
+        T_a_b=with_found(table.T_a_b, [look.T_a_b for look in looks]),
     )
     return replace(found, rigid=_rigid(found, bodies))
 
 
-def _look(
-    bodies: Bodies, table: PairTable, rows: IntArray, joint_types: Sequence[str], effort: Effort
-) -> tuple[Scores, FloatArray, FloatArray]:
-    """Scores of some pairs, weights for all frames that count, and the likeliest types' scales (P, S) and T_a_b."""
-    tracks = counted_tracks(bodies, table.pairs[rows], at_most=effort.frames)
-    fits = _fit_types(tracks, joint_types, effort)
-    scores = score_fits(fits, tracks, table.scores.criterion)
-    best = np.argmin(np.stack([scores.by_type[name] for name in fits]), axis=0)
-    T_a_b = np.stack([f.model.frames.T_parent_axis @ f.model.frames.T_axis_child for f in fits.values()])
-    scales = np.stack([fit.model.scales for fit in fits.values()])
-    scores = scores.counted_for(table.counted[rows] / tracks.seen.sum(axis=-1))
-    return scores, scales[best, np.arange(len(rows))], T_a_b[best, np.arange(len(rows))]
+@dataclass(frozen=True, eq=False)
+class _Look:
+    """What is kept of a look at P pairs: scores, the likeliest types' scales (P, S) and T_a_b, frames that told them."""
+
+    scores: Scores
+    scales: FloatArray
+    T_a_b: FloatArray
+    seen: IntArray
+
+    @staticmethod
+    def of(found: Explained) -> _Look:
+        fits, P = found.fits, len(found.tracks.seen)
+        best = np.argmin(np.stack([found.scores.by_type[name] for name in fits]), axis=0)
+        T_a_b = np.stack([f.model.frames.T_parent_axis @ f.model.frames.T_axis_child for f in fits.values()])
+        scales = np.stack([fit.model.scales for fit in fits.values()])
+        seen = found.tracks.seen.sum(axis=-1)
+        return _Look(found.scores, scales[best, np.arange(P)], T_a_b[best, np.arange(P)], seen)
 
 
 def _rigid(table: PairTable, bodies: Bodies) -> BoolArray:

@@ -130,7 +130,8 @@ def _hypothesis(
     readings = closed_form(joint, tracks.T_a_b[rows[:, None, None], picked], np.ones(picked.shape), by_pose=by_pose)
     spread = _spread(usable, min(JUDGES, usable.shape[1]))
     judging = np.repeat(tracks.T_a_b[rows[:, None], spread], H, axis=0)
-    case = _Case(joint, judging, np.ones(judging.shape[:2], dtype=bool), tracks.scene_m3, by_pose)
+    scene_m3 = np.repeat(tracks.scene_m3, H)
+    case = _Case(joint, judging, np.ones(judging.shape[:2], dtype=bool), scene_m3, by_pose)
     tight = reduce(_Judged.followed_by, (case.judged(_flattened(frames)) for frames in readings))
     of_pair = np.tile(np.repeat(rows, H), len(readings))
     variance = np.full((P, tight.variance.shape[-1]), np.inf)
@@ -188,18 +189,18 @@ def _spread(usable: BoolArray, size: int) -> IntArray:
 
 @dataclass(frozen=True, eq=False)
 class _Case:
-    """Frames (B, N, 4, 4) that judge joints of a type, of which some are usable (B, N)."""
+    """Frames (B, N, 4, 4) that judge joints of a type, of which some are usable (B, N), in scenes (B,)."""
 
     joint: JointType
     T_a_b: FloatArray
     usable: BoolArray
-    scene_m3: float
+    scene_m3: FloatArray
     by_pose: bool
 
     def repeated(self, times: int) -> _Case:
         """The frames so many times over."""
         T_a_b, usable = np.tile(self.T_a_b, (times, 1, 1, 1)), np.tile(self.usable, (times, 1))
-        return _Case(self.joint, T_a_b, usable, self.scene_m3, self.by_pose)
+        return _Case(self.joint, T_a_b, usable, np.tile(self.scene_m3, times), self.by_pose)
 
     def judged(self, frames: JointFrames) -> _Judged:
         """Joints (B, ...) with the likeliest mixtures about them."""
@@ -246,7 +247,7 @@ class _Case:
         inside = -0.5 * np.sum(some.squares / variance[:, None], axis=-1)
         inside += (np.log1p(-outliers) + self._log_open(variance, arm_m))[:, None]
         inside -= 1.5 * np.sum(np.log(TURN * variance), axis=-1)[:, None]
-        total, inlier = either(inside, np.log(outliers)[:, None] + log_outside)
+        total, inlier = either(inside, (np.log(outliers) + log_outside)[:, None])
         return -2 * np.sum(total * self.usable, axis=-1), inlier * self.usable
 
     def _settled(self, variance: FloatArray) -> FloatArray:

@@ -142,12 +142,12 @@ def _integrated(fit: JointFit, tracks: PairTracks) -> _Integrated:
     )
 
 
-def _price(found: _Integrated, lab_m: float, time: FloatArray) -> FloatArray:
+def _price(found: _Integrated, lab_m: FloatArray, time: FloatArray) -> FloatArray:
     """(P,) -2 log of the share that the data leave of what was possible before, for frames that repeat errors."""
     fit = found.seen.fit
     before = number_deviations(fit.joint, lab_m)
-    numbers = fit.information * np.outer(before, before) / time[:, None, None]
-    mean = found.of_mean * mean_deviation(fit.joint, lab_m) ** 2 / time[:, None, None]
+    numbers = fit.information * (before[:, :, None] * before[:, None]) / time[:, None, None]
+    mean = found.of_mean * (mean_deviation(fit.joint, lab_m) ** 2 / time)[:, None, None]
     turns = np.log1p(found.of_turns * TURN_STD_RAD**2 / time[:, None]).sum(axis=-1)
     of_states = _log_det_1(mean) + _spread_price(found, time) + turns
     return _log_det_1(numbers) + of_states + size_price(fit, lab_m, time) - 2 * np.log(fit.joint.usual)

@@ -115,8 +115,9 @@ def _slow_errors(fit: Left | JointFit, tracks: PairTracks, good: BoolArray) -> F
     """(2, P) variance of errors of position and orientation that last, over that which slow errors may have."""
     data = tracks.data
     noisy = tracks.noise.noisy if tracks.noise.noisy is not None else _noisy(tracks)
-    slow = UnknownNoise(data.t, noisy, tracks.seen, tracks.oriented, np.zeros(2))
-    whitening = slow.whitening(np.tile([(SLOW_M * tracks.lab_m) ** 2, SLOW_RAD**2], (len(good), 1)))
+    slow = UnknownNoise(data.t, noisy, tracks.seen, tracks.oriented, np.zeros((len(good), 2)))
+    usual = np.stack([(SLOW_M * tracks.lab_m) ** 2, np.full(len(good), SLOW_RAD**2)], axis=-1)
+    whitening = slow.whitening(usual)
     d, e = (np.einsum("ijpt,ptj->ipt", data.R, part) for part in np.split(fit.residual, 2, axis=-1))
     u = np.moveaxis(whitening(d, e), 0, -1)
     lasting, of_all, deviations = zip(

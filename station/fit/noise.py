@@ -10,6 +10,7 @@ The covariance of a relative pose T_a_b is a sum of known shapes with unknown sc
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -70,7 +71,7 @@ class Noise:
         shape: (P, T, 6, 6): the given covariance, or that of unit orientation errors.
         noisy: (2, P) 1 where the parent and the child have errors of unknown size, else 0; those of position have the
             identity for a shape. None for given covariances.
-        least: (S,) least scale of each variance, S = 1 if covariances are given, else 2 (position, orientation).
+        least: (P, S) least scale of each variance, S = 1 if covariances are given, else 2 (position, orientation).
     """
 
     shape: FloatArray
@@ -84,7 +85,15 @@ class Noise:
 
     def take(self, pairs: NDArray[np.intp] | slice) -> Noise:
         """The noise of some of the pairs."""
-        return Noise(self.shape[pairs], None if self.noisy is None else self.noisy[:, pairs], self.least)
+        noisy = None if self.noisy is None else self.noisy[:, pairs]
+        return Noise(self.shape[pairs], noisy, self.least[pairs])
+
+    @staticmethod
+    def all_of(noises: Sequence[Noise]) -> Noise:
+        """The noise of pairs one after another; of all it is given, or of none."""
+        known = [noise.noisy for noise in noises if noise.noisy is not None]
+        shape, least = (np.concatenate(part) for part in zip(*((n.shape, n.least) for n in noises), strict=True))
+        return Noise(shape, np.concatenate(known, axis=1) if known else None, least)
 
     def covariance(self, scales: FloatArray) -> FloatArray:
         """(P, T, 6, 6) at scales (P, S)."""
@@ -141,7 +150,7 @@ def relative_covariance(T_a_b: FloatArray, covariance_a: FloatArray, covariance_
 
 def given_noise(T_a_b: FloatArray, covariance_a: FloatArray, covariance_b: FloatArray, least: float) -> Noise:
     """Noise of (P, T, 4, 4) relative poses from both parts' covariances (P, T, 6, 6); `least` scale of the sum."""
-    return Noise(relative_covariance(T_a_b, covariance_a, covariance_b), None, np.array([least]))
+    return Noise(relative_covariance(T_a_b, covariance_a, covariance_b), None, np.full((len(T_a_b), 1), least))
 
 
 def unknown_noise(T_a_b: FloatArray, noisy_a: BoolArray, noisy_b: BoolArray) -> Noise:
@@ -149,4 +158,4 @@ def unknown_noise(T_a_b: FloatArray, noisy_a: BoolArray, noisy_b: BoolArray) -> 
     unit = np.diag([0.0, 0.0, 0.0, 1.0, 1.0, 1.0])
     a, b = noisy_a.astype(np.float64), noisy_b.astype(np.float64)
     shape = relative_covariance(T_a_b, a[:, None, None, None] * unit, b[:, None, None, None] * unit)
-    return Noise(shape, np.stack([a, b]), np.full(2, ROUNDING**2))
+    return Noise(shape, np.stack([a, b]), np.full((len(T_a_b), 2), ROUNDING**2))

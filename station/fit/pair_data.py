@@ -27,7 +27,7 @@ class PairData:
         oriented: (P, T) seen, and the orientation was measured.
         noise: of the relative poses.
         log_outlier: (P, T) logarithm of the density of an outlier [1/m^3 or 1/(m^3 rad^3)]; 0 unseen.
-        scene_m: length of the scene.
+        scene_m: (P,) length of the scene.
     """
 
     R: FloatArray
@@ -36,7 +36,7 @@ class PairData:
     oriented: BoolArray
     noise: PairNoise
     log_outlier: FloatArray
-    scene_m: float
+    scene_m: FloatArray
 
     def take(self, rows: IntArray | BoolArray) -> PairData:
         """The data of some of the pairs."""
@@ -47,12 +47,12 @@ class PairData:
             self.oriented[rows],
             self.noise.take(rows),
             self.log_outlier[rows],
-            self.scene_m,
+            self.scene_m[rows],
         )
 
 
 def pair_data(
-    T_a_b: FloatArray, seen: BoolArray, oriented: BoolArray, noise: Noise, log_outlier: FloatArray, scene_m: float
+    T_a_b: FloatArray, seen: BoolArray, oriented: BoolArray, noise: Noise, log_outlier: FloatArray, scene_m: FloatArray
 ) -> PairData:
     """Data of poses (P, T, 4, 4)."""
     R, t = entries_first(T_a_b)

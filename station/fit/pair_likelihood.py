@@ -80,7 +80,7 @@ def log_open(joint: JointType, data: PairData, state_scale: FloatArray, weights:
 
     `state_scale` (s, P, T) are deviations of the states, each given those before it; 0 where it is not told.
     """
-    whole = TURN if joint.unit == "rad" else data.scene_m
+    whole = TURN if joint.unit == "rad" else data.scene_m[:, None]
     share = np.minimum(np.sqrt(TURN) * state_scale / whole, 1.0)
     log_share = np.where(share > 0, np.log(np.where(share > 0, share, 1.0)), 0.0).sum(axis=0)
     return np.sum(weights * log_share, axis=-1) / np.maximum(weights.sum(axis=-1), 1.0)

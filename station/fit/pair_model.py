@@ -44,14 +44,14 @@ class PairTracks:
         seen: (P, T) both parts were seen.
         oriented: (P, T) seen, and the orientation was measured.
         noise: of the relative poses.
-        scene_m3: volume in which an outlier may be.
+        scene_m3: (P,) volume in which an outlier may be.
     """
 
     T_a_b: FloatArray
     seen: BoolArray
     oriented: BoolArray
     noise: Noise
-    scene_m3: float
+    scene_m3: FloatArray
 
     @property
     def dimensions(self) -> FloatArray:
@@ -61,17 +61,17 @@ class PairTracks:
     @property
     def log_outlier_density(self) -> FloatArray:
         """(P, T) logarithm of the density of an outlier [1/m^3 or 1/(m^3 rad^3)]; 0 unseen."""
-        return -1.0 * (self.seen * np.log(self.scene_m3) + self.oriented * np.log(ROTATION_VOLUME))
+        return -1.0 * (self.seen * np.log(self.scene_m3)[:, None] + self.oriented * np.log(ROTATION_VOLUME))
 
     @property
-    def scene_m(self) -> float:
-        """Side of the volume."""
+    def scene_m(self) -> FloatArray:
+        """(P,) side of the volume."""
         return self.scene_m3 ** (1 / 3)
 
     @property
-    def lab_m(self) -> float:
-        """What stands for a metre where sizes usual in a lab are told: more than one in a scene that is larger."""
-        return max(self.scene_m, 1.0)
+    def lab_m(self) -> FloatArray:
+        """(P,) what stands for a metre where sizes usual in a lab are told: more than one in a scene that is larger."""
+        return np.maximum(self.scene_m, 1.0)
 
     @cached_property
     def data(self) -> PairData:
@@ -81,7 +81,20 @@ class PairTracks:
     def take(self, pairs: NDArray[np.intp] | slice) -> PairTracks:
         """The tracks of some of the pairs."""
         return PairTracks(
-            self.T_a_b[pairs], self.seen[pairs], self.oriented[pairs], self.noise.take(pairs), self.scene_m3
+            self.T_a_b[pairs], self.seen[pairs], self.oriented[pairs], self.noise.take(pairs), self.scene_m3[pairs]
+        )
+
+    @staticmethod
+    def all_of(tracks: Sequence[PairTracks]) -> PairTracks:
+        """The tracks one after another; all have as many frames, and a noise of the same kind."""
+        if len(tracks) == 1:
+            return tracks[0]
+        return PairTracks(
+            np.concatenate([each.T_a_b for each in tracks]),
+            np.concatenate([each.seen for each in tracks]),
+            np.concatenate([each.oriented for each in tracks]),
+            Noise.all_of([each.noise for each in tracks]),
+            np.concatenate([each.scene_m3 for each in tracks]),
         )
 
 

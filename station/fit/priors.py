@@ -31,25 +31,26 @@ def arm_m(fit: JointFit) -> FloatArray:
     return np.linalg.norm(p[:, :2] if fit.joint.has_axis else p, axis=-1)
 
 
-def number_deviations(joint: JointType, lab_m: float) -> FloatArray:
-    """(n,) of a joint's numbers, in the order of `stepped_frames`."""
+def number_deviations(joint: JointType, lab_m: FloatArray) -> FloatArray:
+    """(P, n) of a joint's numbers, in the order of `stepped_frames`."""
     freedoms = np.array([*joint.axis_freedoms, *joint.child_freedoms])
-    of_frames = np.where(freedoms < 3, ARM_M * lab_m, TURN_STD_RAD)
-    return np.concatenate([of_frames, np.full(joint.form_freedoms, PITCH_M_PER_RAD * lab_m)])
+    of_frames = np.where(freedoms < 3, ARM_M * lab_m[:, None], TURN_STD_RAD)
+    of_form = np.repeat(PITCH_M_PER_RAD * lab_m[:, None], joint.form_freedoms, axis=-1)
+    return np.concatenate([of_frames, of_form], axis=-1)
 
 
-def mean_deviation(joint: JointType, lab_m: float) -> float:
-    """Of the states' mean [m or rad]."""
-    return ARM_M * lab_m if joint.unit == "m" else TURN_STD_RAD
+def mean_deviation(joint: JointType, lab_m: FloatArray) -> FloatArray:
+    """(P,) of the states' mean [m or rad]."""
+    return ARM_M * lab_m if joint.unit == "m" else np.full(len(lab_m), TURN_STD_RAD)
 
 
-def size_price(fit: JointFit, lab_m: float, time: FloatArray) -> FloatArray:
+def size_price(fit: JointFit, lab_m: FloatArray, time: FloatArray) -> FloatArray:
     """(P,) -2 log density of the arm and the pitch, against none, for frames that repeat errors `time` (P,) times."""
-    pitch = fit.model.frames.form / (PITCH_M_PER_RAD * lab_m)
+    pitch = fit.model.frames.form / (PITCH_M_PER_RAD * lab_m[:, None])
     return _arm_price(fit, ARM_M * lab_m, time) + np.sum(pitch**2, axis=-1)
 
 
-def _arm_price(fit: JointFit, usual_m: float, time: FloatArray) -> FloatArray:
+def _arm_price(fit: JointFit, usual_m: FloatArray, time: FloatArray) -> FloatArray:
     """(P,) at the likeliest arm by data and prior together: of an arc that is nearly straight the data tell the
     curvature alone, and that not well, so that an arm of 5 m may as well be one of 2 m.
     """
@@ -61,7 +62,8 @@ def _arm_price(fit: JointFit, usual_m: float, time: FloatArray) -> FloatArray:
     along = fit.model.frames.T_axis_child[:, : len(columns), 3] / arm[:, None]
     covariance = parameter_covariance(fit.information)[:, columns][:, :, columns]
     variance = np.maximum(time * np.einsum("pi,pij,pj->p", along, covariance, along), SHORT_M**2)[:, None]
-    told, arm = usual_m**2 / variance, arm[:, None]
+    usual_m, arm = usual_m[:, None], arm[:, None]
+    told = usual_m**2 / variance
     better_told = np.log1p(told / SHORTER**4) - np.log1p(told)  # the same curvature tells a shorter arm better
     off = (1 / SHORTER - 1) ** 2 * arm**2 / variance
     return np.min(off + better_told + (SHORTER * arm / usual_m) ** 2, axis=-1)

@@ -11,13 +11,13 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from station.fit.asking import COMPARING, Asking, Explained, Question, ask
 from station.fit.bodies import Bodies, pair_tracks
 from station.fit.noise import INLIER_ABOVE
 from station.fit.pair_likelihood import likelihood
-from station.fit.pair_model import OUTLIER_SHARE_START, Model
+from station.fit.pair_model import OUTLIER_SHARE_START, Model, PairTracks
 from station.fit.pair_residuals import errors
 from station.fit.pair_starts import FLIP_SHARE_START
-from station.fit.pairwise import fit_types
 from station.kinematics import se3
 from station.kinematics.joints import JOINT_TYPES, JointFrames
 from station.logs import FloatArray
@@ -27,7 +27,6 @@ IntArray = NDArray[np.intp]
 
 # Frames of a pair that are looked at, at most half of which are unexplained.
 FRAMES = 200
-ITERATIONS, TOLERANCE = 10, 0.1
 # Frames that a movable joint has to explain beyond a rigid one, and that share of the unexplained ones besides: with
 # its freedom it passes through an outlier or two.
 LEAST_FRAMES, LEAST_SHARE = 4.0, 0.1
@@ -37,7 +36,7 @@ LOST_SHARE = 0.1
 
 def moved_rarely(
     bodies: Bodies, pairs: IntArray, T_a_b: FloatArray, scales: FloatArray, joint_types: Sequence[str]
-) -> BoolArray:
+) -> Asking[BoolArray]:
     """(P,) whether pairs (P, 2), rigid with poses (P, 4, 4) and noise scales (P, S), moved in a few frames."""
     movable = [name for name in joint_types if JOINT_TYPES[name].states]
     moved = np.zeros(len(pairs), dtype=bool)
@@ -46,14 +45,21 @@ def moved_rarely(
     if not (some.size and movable):
         return moved
     rows = _balanced_rows(seen[some], explained[some])
-    tracks = pair_tracks(bodies, pairs[some], rows=rows)
     still = np.take_along_axis(explained[some], rows, axis=-1)
-    fits = fit_types(tracks, movable, iterations=ITERATIONS, tolerance=TOLERANCE)
-    inliers = np.stack([fit.inlier > INLIER_ABOVE for fit in fits.values()])
-    odd = tracks.seen & ~still
-    gained, kept = np.sum(inliers & odd, axis=-1), np.sum(inliers & tracks.seen & still, axis=-1)
+
+    def tracks(piece: IntArray) -> PairTracks:
+        return pair_tracks(bodies, pairs[some][piece], rows=rows[piece])
+
+    def told(found: Explained) -> tuple[BoolArray, BoolArray]:
+        return found.tracks.seen, np.stack([fit.inlier > INLIER_ABOVE for fit in found.fits.values()])
+
+    T = len(bodies.seen)
+    found = yield from ask(Question(len(some), T, tracks, tuple(movable), COMPARING, "evidence", False, told))
+    shown, inliers = np.concatenate([each[0] for each in found]), np.concatenate([each[1] for each in found], axis=1)
+    odd = shown & ~still
+    gained, kept = np.sum(inliers & odd, axis=-1), np.sum(inliers & shown & still, axis=-1)
     enough = (gained >= LEAST_FRAMES + LEAST_SHARE * odd.sum(axis=-1)) & (
-        kept >= (1 - LOST_SHARE) * np.sum(tracks.seen & still, axis=-1)
+        kept >= (1 - LOST_SHARE) * np.sum(shown & still, axis=-1)
     )
     moved[some] = enough.any(axis=0)
     return moved

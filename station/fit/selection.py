@@ -71,12 +71,38 @@ class Scores:
         """With frames that count `share` (P,) times as much between pairs."""
         return replace(self, joined_weight=self.joined_weight * share, misfit=self.misfit * share)
 
-    def with_rows(self, rows: NDArray[np.intp], some: Sequence[Scores]) -> Scores:
-        """With the scores by this criterion of some of the pairs, told in pieces."""
+    def take(self, rows: NDArray[np.intp]) -> Scores:
+        """Those of some of the pairs."""
+        return self._mapped(lambda array: array[rows])
+
+    @staticmethod
+    def all_of(some: Sequence[Scores]) -> Scores:
+        """Scores of pairs one after another; all by the same criteria."""
+        columns = zip(*(scores._arrays for scores in some), strict=True)
+        return some[0]._mapped(lambda _: np.concatenate(next(columns)))
+
+    @property
+    def _arrays(self) -> list[NDArray[Any]]:
+        found: list[NDArray[Any]] = []
+        self._mapped(lambda array: found.append(array) or array)
+        return found
+
+    def _mapped(self, change: Callable[[NDArray[Any]], NDArray[Any]]) -> Scores:
+        """With each array changed."""
+
+        def changed(by_type: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
+            return {name: change(each) for name, each in by_type.items()}
+
+        rest = [change(array) for array in (self.joined_weight, self.misfit, self.surely_rigid, self.free)]
+        criteria = {name: changed(by_type) for name, by_type in self.criteria.items()}
+        return Scores(self.criterion, changed(self.by_type), *rest, criteria)
+
+    def with_rows(self, rows: NDArray[np.intp], some: Scores) -> Scores:
+        """With the scores by this criterion of some of the pairs."""
 
         def changed(before: NDArray[Any], of: Callable[[Scores], NDArray[Any]]) -> NDArray[Any]:
             after = before.copy()
-            after[rows] = np.concatenate([of(piece) for piece in some])
+            after[rows] = of(some)
             return after
 
         return Scores(

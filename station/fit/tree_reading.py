@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from station.fit.asking import Asking
 from station.fit.bodies import Group
 from station.fit.noise import INLIER_ABOVE
 from station.fit.options import FitOptions
@@ -75,12 +76,12 @@ class _Refined:
 
 def read_tree(
     structure: Structure, root: int, options: FitOptions, *, include: bool
-) -> list[tuple[int, int, JointReading, Scores, int]]:
+) -> Asking[list[tuple[int, int, JointReading, Scores, int]]]:
     """(parent, child, reading, scores, row of the scores) of each joint of a tree, from the root outward."""
     order = [(a, b) for a, b, _ in outward(root, structure.edges)]
     if not order:
         return []
-    start = tree_start(structure, root, options)
+    start = yield from tree_start(structure, root, options)
     fit = refine_tree(
         start.skeleton,
         start.model,

@@ -86,7 +86,7 @@ def measured_parts(bodies: Bodies, parts: Sequence[int]) -> Measured:
     rows = max(POSES_AT_ONCE // max(len(k), 1), 1)
     for start in range(0, len(seen), rows):  # memory asks for this loop
         some = slice(start, start + rows)
-        noise = Noise(bodies.covariance[some, k], None, np.ones(1))
+        noise = Noise(bodies.covariance[some, k], None, np.ones((len(seen[some]), 1)))
         W, log_density[some] = noise.whitener(np.ones((len(seen[some]), 1)), seen[some], oriented[some])
         R_part_ref = np.swapaxes(T_ref_part[some, ..., :3, :3], -1, -2)
         for columns in (slice(0, 3), slice(3, 6)):

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from station.fit.asking import Asking
 from station.fit.bodies import Bodies, Group, oriented_pairs
 from station.fit.comparison import fit_pairs
 from station.fit.noise import INLIER_ABOVE
@@ -55,14 +56,14 @@ class TreeStart:
     scores: Scores
 
 
-def tree_start(structure: Structure, root: int, options: FitOptions) -> TreeStart:
+def tree_start(structure: Structure, root: int, options: FitOptions) -> Asking[TreeStart]:
     """The tree of the body `root`, its joints told from there outward."""
     order = [(a, b) for a, b, _ in outward(root, structure.edges)]
     still = next((k for k in (root, *(b for _, b in order)) if REFERENCE in structure.groups[k].members), None)
     inward = [(a, b) for a, b, _ in outward(root if still is None else still, structure.edges)]
     names = [(a, b) if (a, b) in order else (b, a) for a, b in inward]
     bodies = (root if still is None else still, *(b for _, b in inward))
-    joints = _pair_joints(structure.bodies, names, options)
+    joints = yield from _pair_joints(structure.bodies, names, options)
     number = {k: body for body, k in enumerate(bodies)}
     tree_joints = tuple(
         TreeJoint(number[parent], number[child], kind, turned=(parent, child) != pair)
@@ -87,11 +88,11 @@ class _PairJoints:
     scores: Scores
 
 
-def _pair_joints(bodies: Bodies, names: Sequence[tuple[int, int]], options: FitOptions) -> _PairJoints:
+def _pair_joints(bodies: Bodies, names: Sequence[tuple[int, int]], options: FitOptions) -> Asking[_PairJoints]:
     """Each joint's likeliest movable type; a pair is fitted from the body that has orientations."""
     pairs = np.array(names, dtype=np.intp).reshape(-1, 2)
     fitted = oriented_pairs(bodies, pairs)
-    fits, scores, _ = fit_pairs(bodies, fitted, options.joint_types, options.criterion)
+    fits, scores = yield from fit_pairs(bodies, fitted, options.joint_types, options.criterion)
     movable = [name for name in options.joint_types if JOINT_TYPES[name].states] or list(options.joint_types)
     types: list[JointType] = []
     frames: list[JointFrames] = []

@@ -113,7 +113,7 @@ class Projected:
 
 @dataclass(frozen=True, eq=False)
 class GivenNoise:
-    """Covariances that were given, up to one scale: their whitening at scale 1, and the least scale (1,)."""
+    """Covariances that were given, up to one scale: their whitening at scale 1, and the least scale (P, 1)."""
 
     unit: Whitening
     least: FloatArray
@@ -122,7 +122,7 @@ class GivenNoise:
         """The noise of some of the pairs."""
         w = self.unit
         some = Whitening(w.vv[:, :, rows], w.wv[:, :, rows], w.ww[:, :, rows], w.log_v[rows], w.log_w[rows])
-        return GivenNoise(some, self.least)
+        return GivenNoise(some, self.least[rows])
 
     def whitening(self, scales: FloatArray) -> Whitening:
         """At scales (P, 1)."""
@@ -165,7 +165,7 @@ class UnknownNoise:
         noisy: (2, P) a and b, 0 or 1.
         seen: (P, T).
         oriented: (P, T).
-        least: (2,) least s and t.
+        least: (P, 2) least s and t.
     """
 
     position: FloatArray
@@ -177,7 +177,7 @@ class UnknownNoise:
     def take(self, rows: IntArray | BoolArray) -> UnknownNoise:
         """The noise of some of the pairs."""
         return UnknownNoise(
-            self.position[:, rows], self.noisy[:, rows], self.seen[rows], self.oriented[rows], self.least
+            self.position[:, rows], self.noisy[:, rows], self.seen[rows], self.oriented[rows], self.least[rows]
         )
 
     def whitening(self, scales: FloatArray) -> Whitening:
@@ -221,7 +221,7 @@ class UnknownNoise:
     def _started(self, position: FloatArray, orientation: FloatArray) -> FloatArray:
         """(P, 2) scales of variances of relative poses (P,)."""
         parts = np.maximum(self.noisy.sum(axis=0), 1.0)
-        orientation = np.where(orientation > parts * self.least[1], orientation, position / BALANCE_M**2)
+        orientation = np.where(orientation > parts * self.least[:, 1], orientation, position / BALANCE_M**2)
         return np.maximum(np.stack([position / parts, orientation / parts], axis=-1), self.least)
 
     def updated_scales(self, scales: FloatArray, whitening: Whitening, fit: Projected) -> FloatArray:
