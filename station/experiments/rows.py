@@ -47,7 +47,7 @@ class Row:
         axis_error_deg: the largest of the joints' that have one; None if none has.
         point_error_mm: likewise.
         joints: one for each true joint; none where the fit failed.
-        fit_s: processor time of the fit, which has one thread.
+        fit_s: processor time of the fit, which has one thread; an even share of that of all that are fitted together.
         error: why the fit failed; None if it didn't.
         versions: of the programs that fitted it.
     """

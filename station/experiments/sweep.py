@@ -10,7 +10,7 @@ from os import PathLike
 from pathlib import Path
 
 from station.errors import StationError
-from station.experiments.fits import Outcome, run_cells
+from station.experiments.fits import Outcome, kind_of, run_cells
 from station.experiments.grid import Cell, CellKey, Grid
 from station.experiments.local_processes import Processes
 from station.experiments.store import Store, Sweep, is_kept
@@ -18,6 +18,8 @@ from station.experiments.workers import Borrowed, Workers
 
 # Cells that are handed out together, at most; a worker tells what it has every second and gives the others back.
 MOST_AT_ONCE = 32
+# Waiting cells among which those of one kind are sought.
+LOOK_AHEAD = 1024
 # Pieces of work that are on their way for each that runs, so that no worker waits.
 AHEAD = 2
 # A cell whose worker died so often is not tried again.
@@ -100,12 +102,18 @@ class _Round:
         return self._suspects(self._waiting[0], *(cell for cells in self._flying.values() for cell in cells))
 
     def _next(self, slots: int) -> list[Cell]:
-        """Cells to hand out together: fewer towards the end, so that all workers end at a time; suspects go alone."""
+        """Cells of a kind, to hand out together: fewer towards the end, so that all workers end at a time; suspects go
+        alone.
+        """
         share = math.ceil(len(self._waiting) / (2 * AHEAD * slots))
         cells = [self._waiting.popleft()]
         most = 1 if self._suspects(cells[0]) else min(share, MOST_AT_ONCE)
-        while self._waiting and len(cells) < most:
-            cells.append(self._waiting.popleft())
+        others: list[Cell] = []
+        while self._waiting and len(cells) < most and len(others) < LOOK_AHEAD:
+            cell = self._waiting.popleft()
+            alike = kind_of(cell) == kind_of(cells[0]) and not self._suspects(cell)
+            (cells if alike else others).append(cell)
+        self._waiting.extendleft(reversed(others))
         return cells
 
     def _suspects(self, *cells: Cell) -> bool:

@@ -168,7 +168,8 @@ def _packs(work: Sequence[_Piece]) -> list[list[_Piece]]:
     for piece in work:
         pack = last.get(piece.question.kind)
         if pack is None or sum(other.size for other in pack) + piece.size > FRAMES_AT_ONCE:
-            last[piece.question.kind] = pack = []
+            pack = list[_Piece]()
+            last[piece.question.kind] = pack
             packs.append(pack)
         pack.append(piece)
     return packs
@@ -183,9 +184,11 @@ def _told(pack: Sequence[_Piece]) -> list[Any]:
     found: dict[int, Any] = {}
     for group in alike.values():
         whole = _explained(pack[group[0]].question, PairTracks.all_of([tracks[i] for i in group]))
-        ends = np.cumsum([len(tracks[i].seen) for i in group])
-        for i, rows in zip(group, np.split(np.arange(ends[-1]), ends[:-1]), strict=True):
+        first = 0
+        for i in group:
+            rows = np.arange(first, first + len(tracks[i].seen), dtype=np.intp)
             found[i] = pack[i].question.told(whole.take(rows) if len(group) > 1 else whole)
+            first += len(rows)
     return [found[i] for i in range(len(pack))]
 
 

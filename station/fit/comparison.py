@@ -235,7 +235,7 @@ def _looked_at(
 
 @dataclass(frozen=True, eq=False)
 class _Look:
-    """What is kept of a look at P pairs: scores, the likeliest types' scales (P, S) and T_a_b, frames that told them."""
+    """What is kept of a look at P pairs: scores, the likeliest types' scales (P, S) and T_a_b, and seen frames."""
 
     scores: Scores
     scales: FloatArray

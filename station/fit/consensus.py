@@ -72,7 +72,7 @@ class _Judged:
 
     Attributes:
         frames: (B, ...).
-        squares: (B, N, k) of the errors of position, and of orientation if that counts.
+        squares: k arrays (B, N) of the errors of position, and of orientation if that counts.
         variance: (B, k) of the inliers.
         outlier_share: (B,).
         cost: (B,) -2 log likelihood.
@@ -80,7 +80,7 @@ class _Judged:
     """
 
     frames: JointFrames
-    squares: FloatArray
+    squares: tuple[FloatArray, ...]
     variance: FloatArray
     outlier_share: FloatArray
     cost: FloatArray
@@ -88,19 +88,20 @@ class _Judged:
 
     def take(self, rows: IntArray) -> _Judged:
         """Some of the joints."""
-        arrays = (self.squares, self.variance, self.outlier_share, self.cost, self.inlier)
-        return _Judged(self.frames.take(rows), *(array[rows] for array in arrays))
+        squares = tuple(square[rows] for square in self.squares)
+        arrays = (self.variance, self.outlier_share, self.cost, self.inlier)
+        return _Judged(self.frames.take(rows), squares, *(array[rows] for array in arrays))
 
     def followed_by(self, other: _Judged) -> _Judged:
         """These joints, then others."""
         pairs = (
-            (self.squares, other.squares),
             (self.variance, other.variance),
             (self.outlier_share, other.outlier_share),
             (self.cost, other.cost),
             (self.inlier, other.inlier),
         )
-        return _Judged(_joined([self.frames, other.frames]), *(np.concatenate(pair) for pair in pairs))
+        squares = tuple(np.concatenate(pair) for pair in zip(self.squares, other.squares, strict=True))
+        return _Judged(_joined([self.frames, other.frames]), squares, *(np.concatenate(pair) for pair in pairs))
 
 
 def _likeliest(some: Iterable[_Judged]) -> _Judged:
@@ -206,18 +207,19 @@ class _Case:
         """Joints (B, ...) with the likeliest mixtures about them."""
         q = best_states(self.joint, frames, self.T_a_b, self.usable & self.by_pose, self.usable.astype(np.float64))
         at = errors(self.joint, frames, q, *entries_first(self.T_a_b))
-        squares = np.stack([np.sum(x**2, axis=0) for x in ((at.d, at.e) if self.by_pose else (at.d,))], axis=-1)
+        squares = tuple(np.sum(x**2, axis=0) for x in ((at.d, at.e) if self.by_pose else (at.d,)))
         return _likeliest(self._mixture(frames, squares, share) for share in INLIER_SHARES)
 
-    def _mixture(self, frames: JointFrames, squares: FloatArray, share: float) -> _Judged:
-        """Expectation and maximisation from the best so many of the errors' squares (B, N, k)."""
+    def _mixture(self, frames: JointFrames, squares: tuple[FloatArray, ...], share: float) -> _Judged:
+        """Expectation and maximisation from the best so many of the errors' squares."""
         variance = self._settled(_quantiles(squares, self.usable, 0.5 * share) / MEDIAN_SQUARE)
-        outliers, cost = np.full(len(squares), 1 - share), np.zeros(len(squares))
+        outliers, cost = np.full(len(variance), 1 - share), np.zeros(len(variance))
         found = _Judged(frames, squares, variance, outliers, cost, self.usable.astype(np.float64))
         for _ in range(MIXTURE_ROUNDS):  # each round's weights come from the last
             cost, inlier = self._expected(found, found.variance, found.outlier_share)
             weight = inlier.sum(axis=-1)
-            mean = np.einsum("bnk,bn->bk", squares, inlier) / (3 * np.maximum(weight, 1.0))[:, None]
+            sums = np.stack([np.einsum("bn,bn->b", square, inlier) for square in squares], axis=-1)
+            mean = sums / (3 * np.maximum(weight, 1.0))[:, None]
             found = _Judged(frames, squares, self._settled(mean), self._share(weight), cost, inlier)
         return found
 
@@ -244,7 +246,8 @@ class _Case:
         """-2 log likelihood (B,) and the inliers' probability (B, N)."""
         arm_m = np.linalg.norm(some.frames.T_axis_child[:, :3, 3], axis=-1)
         log_outside = -np.log(self.scene_m3) - self.by_pose * np.log(ROTATION_VOLUME)
-        inside = -0.5 * np.sum(some.squares / variance[:, None], axis=-1)
+        information = -0.5 / variance
+        inside = sum(square * information[:, i, None] for i, square in enumerate(some.squares))
         inside += (np.log1p(-outliers) + self._log_open(variance, arm_m))[:, None]
         inside -= 1.5 * np.sum(np.log(TURN * variance), axis=-1)[:, None]
         total, inlier = either(inside, (np.log(outliers) + log_outside)[:, None])
@@ -267,12 +270,12 @@ class _Case:
         return states * np.log(np.minimum(np.sqrt(TURN) * std / whole, 1.0))
 
 
-def _quantiles(squares: FloatArray, usable: BoolArray, share: float) -> FloatArray:
-    """(B, k) quantiles over the usable frames of squares (B, N, k)."""
-    ordered = np.sort(np.where(usable[..., None], squares, np.inf), axis=1)
-    middle = (share * np.maximum(usable.sum(axis=-1) - 1, 0) + 0.5).astype(np.intp)
-    found = np.take_along_axis(ordered, np.broadcast_to(middle[:, None, None], (len(squares), 1, squares.shape[-1])), 1)
-    return np.where(np.isfinite(found[:, 0]), found[:, 0], 1.0)
+def _quantiles(squares: Sequence[FloatArray], usable: BoolArray, share: float) -> FloatArray:
+    """(B, k) quantiles over the usable frames of k squares (B, N)."""
+    middle = (share * np.maximum(usable.sum(axis=-1) - 1, 0) + 0.5).astype(np.intp)[:, None]
+    ordered = [np.sort(np.where(usable, square, np.inf), axis=-1) for square in squares]
+    found = np.concatenate([np.take_along_axis(one, middle, axis=-1) for one in ordered], axis=-1)
+    return np.where(np.isfinite(found), found, 1.0)
 
 
 def _model(case: _Case, tracks: PairTracks, best: _Judged) -> Model:

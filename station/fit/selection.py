@@ -93,9 +93,15 @@ class Scores:
         def changed(by_type: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
             return {name: change(each) for name, each in by_type.items()}
 
-        rest = [change(array) for array in (self.joined_weight, self.misfit, self.surely_rigid, self.free)]
-        criteria = {name: changed(by_type) for name, by_type in self.criteria.items()}
-        return Scores(self.criterion, changed(self.by_type), *rest, criteria)
+        return Scores(
+            self.criterion,
+            changed(self.by_type),
+            change(self.joined_weight),
+            change(self.misfit),
+            change(self.surely_rigid),
+            change(self.free),
+            {name: changed(by_type) for name, by_type in self.criteria.items()},
+        )
 
     def with_rows(self, rows: NDArray[np.intp], some: Scores) -> Scores:
         """With the scores by this criterion of some of the pairs."""

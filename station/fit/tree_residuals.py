@@ -159,9 +159,11 @@ def heat_of(measured: Measured, chi2: FloatArray) -> FloatArray:
     While a joint is far from where it belongs, its parts are no outliers. Their variances are raised until the better
     poses of a part, those up to `BETTER_SHARE` of its squared residuals, are `HOT` times the usual.
     """
-    found = np.ones(len(measured.spread))
-    for k in np.flatnonzero(measured.seen.any(axis=0)):  # parts are few, and are seen in different frames
-        seen = measured.seen[:, k]
-        against_usual = chi2[seen, k] / np.where(measured.dimensions[seen, k] == 6, *USUAL)
-        found[k] = max(float(np.quantile(against_usual, BETTER_SHARE)) / HOT, 1.0)
-    return found
+    seen = measured.seen
+    against_usual = np.where(seen, chi2 / np.where(measured.dimensions == 6, *USUAL), np.inf)
+    at = BETTER_SHARE * np.maximum(seen.sum(axis=0) - 1, 0)  # of those in order
+    rows = np.stack([np.floor(at), np.ceil(at)]).astype(np.intp)
+    below, above = np.take_along_axis(np.sort(against_usual, axis=0), rows, axis=0)
+    known = seen.any(axis=0)
+    below, above = np.where(known, below, 0.0), np.where(known, above, 0.0)
+    return np.maximum((below + (at - rows[0]) * (above - below)) / HOT, 1.0)

@@ -82,8 +82,8 @@ def _floats(values: ArrayLike, *tail: int) -> FloatArray:
 
 def identity(*batch: int) -> FloatArray:
     """Identity poses of shape (*batch, 4, 4)."""
-    T = np.zeros((*batch, 4, 4))
-    T[..., range(4), range(4)] = 1.0
+    T = np.empty((*batch, 4, 4))
+    T[...] = np.eye(4)
     return T
 
 
@@ -125,8 +125,8 @@ def hat3(w: ArrayLike) -> FloatArray:
 
 def _powers(w: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Angle (..., 1, 1), hat and squared hat of a rotation vector (..., 3)."""
-    W = hat3(w)
-    return np.linalg.norm(w, axis=-1)[..., None, None], W, W @ W
+    W, (x, y, z) = hat3(w), np.moveaxis(w, -1, 0)
+    return np.sqrt(x * x + y * y + z * z)[..., None, None], W, W @ W
 
 
 def exp_so3(w: ArrayLike) -> FloatArray:

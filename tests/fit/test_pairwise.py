@@ -52,7 +52,7 @@ def noisy(rng: np.random.Generator, T: FloatArray) -> FloatArray:
 
 def tracks_of(T: FloatArray, *, oriented: bool = True) -> PairTracks:
     seen, one = np.ones(T.shape[:2], dtype=bool), np.ones(len(T), dtype=bool)
-    return PairTracks(T, seen, seen & oriented, unknown_noise(T, ~one, one), 1.0)
+    return PairTracks(T, seen, seen & oriented, unknown_noise(T, ~one, one), np.ones(len(T)))
 
 
 def axis_error(fit: JointFit, truth: JointFrames) -> FloatArray:
@@ -149,7 +149,7 @@ def test_a_noisy_parent_s_lever_is_no_position_noise() -> None:
     _, _, T = simulated_pairs(rng, "revolute", arm=1.0)
     measured = se3.inverse(noisy(rng, np.broadcast_to(np.eye(4), T.shape))) @ noisy(rng, T)
     seen, one = np.ones(T.shape[:2], dtype=bool), np.ones(len(T), dtype=bool)
-    tracks = PairTracks(measured, seen, seen, unknown_noise(measured, one, one), 1.0)
+    tracks = PairTracks(measured, seen, seen, unknown_noise(measured, one, one), np.ones(len(measured)))
     fit = fit_joint(JOINT_TYPES["revolute"], tracks, by_pose=True)
     # 0.02 rad at a metre is 20 mm across the lever; what is left to position is less than a fifth too large.
     np.testing.assert_allclose(np.sqrt(fit.model.scales).mean(axis=0), [SIGMA_M, SIGMA_RAD], rtol=0.2)
@@ -188,7 +188,9 @@ def test_frames_that_were_not_seen_change_nothing() -> None:
     seen = np.broadcast_to(np.arange(200) % 3 > 0, T.shape[:2])
     one = np.ones(4, dtype=bool)
     hidden = np.where(seen[..., None, None], measured, np.eye(4))
-    some = fit_joint(joint, PairTracks(hidden, seen, seen, unknown_noise(hidden, ~one, one), 1.0), by_pose=True)
+    some = fit_joint(
+        joint, PairTracks(hidden, seen, seen, unknown_noise(hidden, ~one, one), np.ones(len(hidden))), by_pose=True
+    )
     kept = measured[:, np.arange(200) % 3 > 0]
     all_seen = fit_joint(joint, tracks_of(kept), by_pose=True)
     between = angle_between(some.model.frames.T_parent_axis[:, :3, 2], all_seen.model.frames.T_parent_axis[:, :3, 2])
@@ -204,7 +206,7 @@ def test_given_covariances_weigh_the_directions() -> None:
     covariance = np.broadcast_to(np.diag(std**2), (*T.shape[:2], 6, 6))
     noise = given_noise(measured, np.zeros_like(covariance), covariance, 1.0)
     seen = np.ones(T.shape[:2], dtype=bool)
-    given = fit_joint(joint, PairTracks(measured, seen, seen, noise, 1.0), by_pose=True)
+    given = fit_joint(joint, PairTracks(measured, seen, seen, noise, np.ones(len(measured))), by_pose=True)
     unknown = fit_joint(joint, tracks_of(measured), by_pose=True)
     assert np.median(axis_error(given, truth)) < 0.5 * np.median(axis_error(unknown, truth))
     assert np.all(given.model.scales < 1.1)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from station.fit.asking import answered
 from station.fit.bodies import bodies_of_log, scaled_by_part
 from station.fit.comparison import compare_pairs
 from station.fit.learner import learn
@@ -49,9 +50,8 @@ def test_a_joint_that_leaves_the_motion_out_is_no_better_an_edge_than_one_that_e
         rng = np.random.default_rng([181, seed])
         made = chain_that_rests(rng, bodies=3, frames=FRAMES, moving=0.6, trackers=1)
         log = watch_resting(rng, made, STD_M, STD_RAD, by_pose=0.9)
-        table = compare_pairs(
-            bodies_of_log(log), np.array([[0, 2], [1, 2]]), FitOptions().joint_types, FitOptions().criterion
-        )
+        pairs, options = np.array([[0, 2], [1, 2]]), FitOptions()
+        table = answered(compare_pairs(bodies_of_log(log), pairs, options.joint_types, options.criterion))
         past_the_elbow, elbow = table.scores.misfit / table.counted
         assert past_the_elbow > elbow + 5  # -2 log likelihood of a frame; a pose tells some 60
 

@@ -78,7 +78,7 @@ class Made:
     def tracks(self) -> PairTracks:
         one = np.ones(len(self.measured), dtype=bool)
         noise = unknown_noise(self.measured, ~one, one)
-        return PairTracks(self.measured, np.ones_like(self.oriented), self.oriented, noise, 1.0)
+        return PairTracks(self.measured, np.ones_like(self.oriented), self.oriented, noise, np.ones(len(self.measured)))
 
     def fit(self, kind: str) -> JointFit:
         return fit_joint(JOINT_TYPES[kind], self.tracks, by_pose=bool(self.oriented.all()))
@@ -177,7 +177,7 @@ def test_states_of_a_screw_count_on_over_turns_despite_outliers_and_gaps(pitch: 
     seen = rng.uniform(size=made.q.shape) > 0.2
     measured = np.where(seen[..., None, None], made.measured, np.eye(4))
     one = np.ones(len(measured), dtype=bool)
-    tracks = PairTracks(measured, seen, seen, unknown_noise(measured, ~one, one), 1.0)
+    tracks = PairTracks(measured, seen, seen, unknown_noise(measured, ~one, one), np.ones(len(measured)))
     fit = fit_joint(JOINT_TYPES["screw"], tracks, by_pose=True)
     sign = np.sign(np.sum(fit.model.frames.T_parent_axis[:, :3, 2] * made.T_parent_axis[:, :3, 2], axis=-1))
     off = np.rint((sign[:, None] * fit.model.q[..., 0] - made.q) / (2 * np.pi))
