@@ -82,13 +82,19 @@ def part_colour(draft: Draft, part: str) -> str:
 
 
 def part_blocks(draft: Draft, part: str) -> tuple[Block, ...]:
-    """The part's own boxes; of one without any a small block, and beams to where its children hang; in its frame."""
+    """The part's own boxes, in its frame; of one without any a small block, and beams to all joints that it is at.
+
+    Parent's and child's beams meet in the joint at every state: a slide's child has a beam as long as its travel.
+    """
     own = tuple(block for block in draft.blocks if block.part == part)
     if own:
         return own
     colour = part_colour(draft, part)
     hub = Block(part, np.eye(4), np.full(3, HUB_M), colour)
-    ends = [joint.T_parent_child_zero[:3, 3] for joint in draft.joints if joint.parent == part]
+    ends = [_anchor(joint) for joint in draft.joints if joint.parent == part]
+    above = draft.joint_above(part)
+    if above is not None:
+        ends.append(_child_anchor(above))
     beams = (_beam(part, end, colour) for end in ends if np.linalg.norm(end) > HUB_M)
     return (hub, *beams)
 
@@ -98,14 +104,22 @@ def part_poses(draft: Draft, states: Mapping[str, float]) -> dict[str, tuple[Num
     return {part: to_gizmo(T) for part, T in draft.poses(states).items()}
 
 
-def joint_glyph(draft: Draft, joint: str, states: Mapping[str, float]) -> Glyph:
-    """A joint as lines in the root's frame, at a state of every column; a rigid one is a line to its child.
+def joint_glyph(
+    draft: Draft, joint: str, states: Mapping[str, float], poses: Mapping[str, FloatArray] | None = None
+) -> Glyph:
+    """A joint as lines in the root's frame; a rigid one is a line to its child.
+
+    Args:
+        draft: of the joint.
+        joint: its name.
+        states: of every column.
+        poses: `draft.poses(states)`, for who draws many joints; found here if None.
 
     Raises:
         InvalidData: for a joint that isn't there.
     """
     drawn = draft.joint(joint)
-    poses = draft.poses(states)
+    poses = draft.poses(states) if poses is None else poses
     T_root_parent, p_child = poses[drawn.parent], poses[drawn.child][:3, 3]
     if drawn.axis_parent is None:
         start = drawn.point_parent_m if drawn.point_parent_m is not None else np.zeros(3)
@@ -156,6 +170,25 @@ def _slider(joint: Joint, column: str) -> Slider:
         low = -high  # of each entry of the rotation vector
     low, high = (round(limit / per_unit, SHOWN_DIGITS) for limit in (low, high))
     return Slider(column, joint.name, f"{column} [{unit}]", unit, low, high, (high - low) / SLIDER_STEPS, per_unit)
+
+
+def _anchor(joint: Joint) -> FloatArray:
+    """(3,) in the parent's frame: the point of the axis nearest the child's zero place, of a slide its lower end."""
+    zero = joint.T_parent_child_zero[:3, 3]
+    if joint.point_parent_m is None:
+        return zero if joint.axis_parent is None else zero + limits_of(joint)[0] * joint.axis_parent
+    if joint.axis_parent is None:
+        return joint.point_parent_m
+    return joint.point_parent_m + (joint.axis_parent @ (zero - joint.point_parent_m)) * joint.axis_parent
+
+
+def _child_anchor(joint: Joint) -> FloatArray:
+    """(3,) the same in the child's frame; of a slide where it is at the upper end."""
+    T_child_parent = se3.inverse(joint.T_parent_child_zero)
+    if joint.point_parent_m is None and joint.axis_parent is not None:
+        low, high = limits_of(joint)
+        return (low - high) * (T_child_parent[:3, :3] @ joint.axis_parent)
+    return _moved(T_child_parent, _anchor(joint))
 
 
 def _beam(part: str, end: FloatArray, colour: str) -> Block:

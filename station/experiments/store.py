@@ -73,7 +73,7 @@ def read_sweep(folder: str | PathLike[str]) -> Sweep:
     folder = Path(folder)
     grid = _read_grid(folder)
     rows, torn = _read_rows(folder, grid)
-    return Sweep(folder, grid, _ordered(rows, grid), (torn.notice,) if torn else ())
+    return _sweep(folder, grid, rows, [torn.notice] if torn else [])
 
 
 def fit_file(cell: Cell) -> str:
@@ -176,7 +176,7 @@ class Store:
 
     def sweep(self) -> Sweep:
         """What there is."""
-        return Sweep(self.folder, self.grid, _ordered(self._rows, self.grid), tuple(self.notices))
+        return _sweep(self.folder, self.grid, self._rows, self.notices)
 
     def write_tables(self) -> None:
         """Write sweep.csv and sweep.parquet of all rows that there are; raises StationError where the disk is full."""
@@ -300,6 +300,12 @@ def _is_whole(line: bytes) -> bool:
     except ValueError:
         return False
     return line.endswith(b"\n")
+
+
+def _sweep(folder: Path, grid: Grid, rows: dict[CellKey, Row], notices: Sequence[str]) -> Sweep:
+    versions = sorted({row.versions for row in rows.values()})
+    mixed = [f"the fits are not all by the same programs, last digits may differ: {'; '.join(versions)}"]
+    return Sweep(folder, grid, _ordered(rows, grid), (*notices, *(mixed if len(versions) > 1 else ())))
 
 
 def _ordered(rows: dict[CellKey, Row], grid: Grid) -> tuple[Row, ...]:

@@ -17,7 +17,7 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from station.fit.bodies import Bodies, oriented_pairs, pair_tracks
+from station.fit.bodies import Bodies, counted_tracks, oriented_pairs
 from station.fit.comparison import MIN_FRAMES
 from station.fit.noise import INLIER_ABOVE, time_of_correlation
 from station.fit.pairwise import JointFit, fit_types
@@ -65,7 +65,7 @@ class _Slides:
     @staticmethod
     def of(bodies: Bodies, pairs: IntArray, joint_types: Sequence[str]) -> _Slides:
         pairs = oriented_pairs(bodies, pairs)
-        tracks = pair_tracks(bodies, pairs, at_most=FRAMES)
+        tracks = counted_tracks(bodies, pairs, at_most=FRAMES)
         fits = fit_types(tracks, joint_types, iterations=ITERATIONS, tolerance=TOLERANCE)
         scores = score_fits(fits, tracks, "evidence", free=False)
         best = [scores.best_type(i) for i in range(len(pairs))]

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from station.errors import InvalidData
 from station.fit.noise import LEAST_ESTIMATED_SCALE, LEAST_GIVEN_SCALE, given_noise, unknown_noise
 from station.fit.pair_model import PairTracks
+from station.fit.rests import frames_to_count
 from station.kinematics import se3
 from station.logs import FloatArray, PoseLog
 
@@ -149,25 +150,43 @@ def oriented_pairs(bodies: Bodies, pairs: IntArray) -> IntArray:
     return np.where(swap[:, None], pairs[:, ::-1], pairs)
 
 
-def pair_tracks(
-    bodies: Bodies, pairs: IntArray, *, at_most: int | None = None, rows: IntArray | None = None
-) -> PairTracks:
+def counted_tracks(bodies: Bodies, pairs: IntArray, *, at_most: int | None = None) -> PairTracks:
+    """Tracks of pairs (P, 2) as `pair_tracks` makes them, of frames at rest as many as of those in motion.
+
+    Args:
+        bodies: where the poses are.
+        pairs: (P, 2).
+        at_most: frames to keep of each pair, spread evenly over those that count; None for all, of which those that
+            don't count are taken for unseen.
+    """
+    all_frames = np.arange(len(bodies.seen))[None]
+    counted = frames_to_count(*_relative_poses(bodies, pairs, all_frames))
+    rows = all_frames if at_most is None else _spread_rows(counted, at_most)
+    tracks = pair_tracks(bodies, pairs, rows=rows)
+    kept = np.take_along_axis(counted, np.broadcast_to(rows, tracks.seen.shape), axis=-1)
+    return replace(tracks, seen=tracks.seen & kept, oriented=tracks.oriented & kept)
+
+
+def _relative_poses(bodies: Bodies, pairs: IntArray, rows: IntArray) -> tuple[FloatArray, BoolArray]:
+    """T_a_b (P, N, 4, 4) of pairs (P, 2) in some rows (P or 1, N), identity where not seen, and where they were."""
+    a, b = pairs[:, :1], pairs[:, 1:]
+    seen = bodies.oriented[rows, a] & bodies.seen[rows, b]
+    T_a_b = se3.inverse(bodies.T_ref_body[rows, a]) @ bodies.T_ref_body[rows, b]
+    return np.where(seen[..., None, None], T_a_b, np.eye(4)), seen
+
+
+def pair_tracks(bodies: Bodies, pairs: IntArray, *, rows: IntArray | None = None) -> PairTracks:
     """Relative poses of pairs (P, 2) of bodies, parent first, with their noise.
 
     Args:
         bodies: where the poses are.
         pairs: (P, 2).
-        at_most: frames to keep of each pair, spread evenly over those that it was seen in; None for all.
-        rows: (P, N) frames to keep instead.
+        rows: (P, N) frames to keep; None for all.
     """
     a, b = pairs[:, :1], pairs[:, 1:]
-    if rows is None:
-        rows = np.arange(len(bodies.seen))[None] if at_most is None else _spread_rows(bodies, pairs, at_most)
-    seen = bodies.oriented[rows, a] & bodies.seen[rows, b]
+    rows = np.arange(len(bodies.seen))[None] if rows is None else rows
+    T_a_b, seen = _relative_poses(bodies, pairs, rows)
     oriented = seen & bodies.oriented[rows, b]
-    T_a_b = np.where(
-        seen[..., None, None], se3.inverse(bodies.T_ref_body[rows, a]) @ bodies.T_ref_body[rows, b], np.eye(4)
-    )
     if bodies.covariance is None:
         noise = unknown_noise(T_a_b, bodies.noisy[a[:, 0]], bodies.noisy[b[:, 0]])
     else:
@@ -175,15 +194,14 @@ def pair_tracks(
     return PairTracks(T_a_b, seen, oriented, noise, bodies.scene_m3)
 
 
-def _spread_rows(bodies: Bodies, pairs: IntArray, at_most: int) -> IntArray:
-    """(P, N) rows of frames, N <= at_most, spread evenly over those in which each pair (P, 2) was seen, in order.
+def _spread_rows(counted: BoolArray, at_most: int) -> IntArray:
+    """(P, N) rows of frames, N <= at_most, spread evenly over those that count for each pair (P, T), in order.
 
-    A pair that was seen less often is filled up with frames in which it was not seen.
+    A pair of which fewer count is filled up with others.
     """
-    seen = bodies.oriented[:, pairs[:, 0]] & bodies.seen[:, pairs[:, 1]]
-    count = seen.sum(axis=0)
+    count = counted.sum(axis=-1)
     N = int(min(at_most, max(count.max(initial=0), 1)))
-    order = np.argsort(~seen, axis=0, kind="stable").T  # seen frames first, each kind in order of time
+    order = np.argsort(~counted, axis=-1, kind="stable")  # counted frames first, each kind in order of time
     position = np.where(count[:, None] > N, (np.arange(N) * count[:, None]) // N, np.arange(N))
     return np.sort(np.take_along_axis(order, position, axis=-1), axis=-1)
 
@@ -195,13 +213,15 @@ def scaled_by_part(bodies: Bodies, variances: FloatArray) -> Bodies:
         bodies: one for each part.
         variances: (K, 1) factors of given covariances, or (K, 2) variances of position [m^2] and orientation [rad^2].
     """
+    least = LEAST_ESTIMATED_SCALE
     if bodies.covariance is not None:
         factors = np.where(bodies.noisy, variances[:, 0], 0.0)
         covariance = bodies.covariance * factors[:, None, None]
+        least = bodies.least_scale / max(float(factors.max()), 1.0)  # of what was given
     else:
         diagonal = np.where(bodies.noisy[:, None], np.repeat(variances, 3, axis=-1), 0.0)
         covariance = np.broadcast_to(diagonal[:, None, :] * np.eye(6), (*bodies.seen.shape, 6, 6))
-    return replace(bodies, covariance=covariance, least_scale=LEAST_ESTIMATED_SCALE)
+    return replace(bodies, covariance=covariance, least_scale=least)
 
 
 @dataclass(frozen=True, eq=False)

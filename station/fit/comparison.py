@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from station.fit import pairwise
-from station.fit.bodies import Bodies, oriented_pairs, pair_tracks
+from station.fit.bodies import Bodies, counted_tracks, oriented_pairs
 from station.fit.pairwise import COST_TOLERANCE, LM_ITERATIONS, JointFit, PairTracks
-from station.fit.parallel import each
+from station.fit.parallel import each, pieces
 from station.fit.rare_motion import moved_rarely
 from station.fit.selection import Scores, score_fits
 from station.fit.structure import contenders, spanning_forest
@@ -27,16 +27,14 @@ IntArray = NDArray[np.intp]
 
 # Common frames that a pair needs: below, the 11 numbers of a revolute joint and its states fit whatever noise there is.
 MIN_FRAMES = 10
-# Frames of all pairs in a piece: their numbers stay in a core's cache.
-FRAMES_AT_ONCE = 8_000
 # Share of the log's frames beyond which seeing a pair together more often makes it no better an edge: pairs compare by
 # the score of a frame. In the rest of the frames the tree explains the parts through their neighbours. Below, a pair
 # counts for less: what did not move in a few frames looks rigid.
 FULL_SHARE = 0.25
 # Ratio of deviations: a rigid joint with so many times the noise that its parts have elsewhere is no rigid joint.
 MISFIT = 4.0
-# Pairs of which all are fitted with care.
-FEW_PAIRS = 6
+# Pairs of which all are fitted with care: with so few a first look costs more than it spares.
+FEW_PAIRS = 15
 # How much better than the first look a careful one may make a pair, in -2 log likelihood of a frame: on simulated trees
 # it is 0.5 at the median and 3.2 at most.
 SCREEN_MARGIN = 6.0
@@ -98,18 +96,12 @@ def _fit_types(tracks: PairTracks, joint_types: Sequence[str], effort: Effort) -
 def fit_pairs(
     bodies: Bodies, pairs: IntArray, joint_types: Sequence[str], criterion: str
 ) -> tuple[Mapping[str, JointFit], Scores, PairTracks]:
-    """All types fitted to all frames of pairs (P, 2) as they are oriented, and scored."""
-    tracks = pair_tracks(bodies, pairs)
-    pieces = _pieces(len(pairs), len(bodies.seen))
-    found = each(lambda piece: _fit_types(tracks.take(piece), joint_types, FITTING), pieces)
+    """All types fitted to all frames that count of pairs (P, 2) as they are oriented, and scored."""
+    tracks = counted_tracks(bodies, pairs)
+    work = pieces(len(pairs), len(bodies.seen))
+    found = each(lambda piece: _fit_types(tracks.take(piece), joint_types, FITTING), work)
     fits = {name: JointFit.all_of([fit[name] for fit in found]) for name in joint_types}
     return fits, score_fits(fits, tracks, criterion), tracks
-
-
-def _pieces(pairs: int, frames: int) -> list[IntArray]:
-    """Rows of pairs, in pieces of about equal size."""
-    count = min(-(-pairs * frames // FRAMES_AT_ONCE), pairs)
-    return np.array_split(np.arange(pairs), max(count, 1))
 
 
 def compare_pairs(
@@ -215,8 +207,7 @@ def _looked_at(
     """The table after a look at some of its pairs (P,)."""
     rows = np.flatnonzero(todo)
     frames = len(bodies.seen) if effort.frames is None else min(len(bodies.seen), effort.frames)
-    pieces = _pieces(len(rows), frames)
-    looks = each(lambda piece: _look(bodies, table, rows[piece], joint_types, effort), pieces)
+    looks = each(lambda piece: _look(bodies, table, rows[piece], joint_types, effort), pieces(len(rows), frames))
 
     def with_found(before: FloatArray, found: Sequence[FloatArray]) -> FloatArray:
         after = before.copy()
@@ -237,7 +228,7 @@ def _look(
     bodies: Bodies, table: PairTable, rows: IntArray, joint_types: Sequence[str], effort: Effort
 ) -> tuple[Scores, FloatArray, FloatArray]:
     """Scores of some pairs, weights for all frames that count, and the likeliest types' scales (P, S) and T_a_b."""
-    tracks = pair_tracks(bodies, table.pairs[rows], at_most=effort.frames)
+    tracks = counted_tracks(bodies, table.pairs[rows], at_most=effort.frames)
     fits = _fit_types(tracks, joint_types, effort)
     scores = score_fits(fits, tracks, table.scores.criterion)
     best = np.argmin(np.stack([scores.by_type[name] for name in fits]), axis=0)

@@ -21,13 +21,13 @@ COT_SERIES = (1 / 12, 1 / 720, 1 / 30240, 1 / 1209600, 1 / 47900160)
 
 def entries_first(T: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Rotations (3, 3, ...) and positions (3, ...) of poses (..., 4, 4)."""
-    entries = np.moveaxis(T[..., :3, :], (-2, -1), (0, 1))
+    entries = T[..., :3, :].transpose(T.ndim - 2, T.ndim - 1, *range(T.ndim - 2))
     return np.ascontiguousarray(entries[:, :3]), np.ascontiguousarray(entries[:, 3])
 
 
 def entries_last(values: FloatArray, axes: int) -> FloatArray:
     """The same values with their first `axes` axes last."""
-    return np.moveaxis(values, range(axes), range(-axes, 0))
+    return values.transpose(*range(axes, values.ndim), *range(axes))
 
 
 def cross(a: FloatArray, b: FloatArray) -> FloatArray:

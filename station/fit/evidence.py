@@ -78,6 +78,9 @@ def evidence(fits: Mapping[str, JointFit], tracks: PairTracks) -> Evidence:
 def _misfit(
     full: Mapping[str, FloatArray], found: Mapping[str, _Integrated], tracks: PairTracks
 ) -> Mapping[str, FloatArray]:
+    """Frames that a joint leaves out as outliers are charged all that they would have told: a joint that explains the
+    frames at rest alone, and leaves out the motion, would fit best of all otherwise.
+    """
     if tracks.noise.noisy is not None:
         return full
     _, log_density = tracks.noise.whitener(np.ones((len(tracks.seen), 1)), tracks.seen, tracks.oriented)
@@ -86,7 +89,7 @@ def _misfit(
     for name, each in found.items():
         fit = each.seen.fit
         of_frame = log_density - 0.5 * np.maximum(tracks.dimensions - fit.joint.states, 0.0)
-        misfit[name] = full[name] + 2 * np.sum(fit.inlier * of_frame, axis=-1) - each.by_motion
+        misfit[name] = full[name] + 2 * np.sum(tracks.seen * of_frame, axis=-1) - each.by_motion
     return misfit
 
 

@@ -19,6 +19,9 @@ A pair whose noise fills the scene (its weight is not below that of nothing but 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtr, chdtrc
@@ -49,11 +52,34 @@ SURE = 3.5
 PARENTS_SHARE = 0.05
 
 
-def log_odds_of_free(best: JointFit, still: JointFit | None, tracks: PairTracks, repeats: FloatArray) -> FloatArray:
+@dataclass(frozen=True, eq=False)
+class Left:
+    """What types leave of P pairs' motion: residuals (P, T, 6) and the probability (P, T) of inliers, of `JointFit`."""
+
+    residual: FloatArray
+    inlier: FloatArray
+
+    @staticmethod
+    def by(fits: Sequence[JointFit], chosen: NDArray[np.intp]) -> Left:
+        """By one of several types for each pair (P,)."""
+        residual, inlier = fits[0].residual.copy(), fits[0].inlier.copy()
+        for i, fit in enumerate(fits[1:], 1):  # types are few
+            rows = chosen == i
+            residual[rows], inlier[rows] = fit.residual[rows], fit.inlier[rows]
+        return Left(residual, inlier)
+
+    def take(self, rows: NDArray[np.intp]) -> Left:
+        """Of some of the pairs."""
+        return Left(self.residual[rows], self.inlier[rows])
+
+
+def log_odds_of_free(
+    best: Left | JointFit, still: JointFit | None, tracks: PairTracks, repeats: FloatArray
+) -> FloatArray:
     """(P,) log odds that a pair is free.
 
     Args:
-        best: the likeliest type.
+        best: the likeliest type, or what it leaves.
         still: the rigid joint, whose residuals are the motion; None if it was not fitted: no share of it counts then.
         tracks: what both were fitted to.
         repeats: (P,) frames that repeat an error of the likeliest type.
@@ -72,20 +98,20 @@ def log_odds_of_free(best: JointFit, still: JointFit | None, tracks: PairTracks,
     return np.where(absurd, -np.log(tiny), odds)
 
 
-def _turns(fit: JointFit, good: BoolArray) -> FloatArray:
+def _turns(fit: Left | JointFit, good: BoolArray) -> FloatArray:
     """(P,) rad for each axis: root mean square of the orientation errors in good frames."""
     square = np.sum(fit.residual[..., 3:] ** 2, axis=-1)
     return np.sqrt(np.sum(good * square, axis=-1) / (3 * np.maximum(good.sum(axis=-1), 1)))
 
 
-def stays_in_place(fit: JointFit, tracks: PairTracks) -> BoolArray:
+def stays_in_place(fit: Left | JointFit, tracks: PairTracks) -> BoolArray:
     """(P,) whether a type leaves no motion of most frames' positions, whatever it leaves of the orientations."""
     good = (fit.inlier > INLIER_ABOVE) & tracks.seen
     most: BoolArray = good.sum(axis=-1) >= MOST * tracks.seen.sum(axis=-1)
     return most & (_slow_errors(fit, tracks, good)[0] < 1)
 
 
-def _slow_errors(fit: JointFit, tracks: PairTracks, good: BoolArray) -> FloatArray:
+def _slow_errors(fit: Left | JointFit, tracks: PairTracks, good: BoolArray) -> FloatArray:
     """(2, P) variance of errors of position and orientation that last, over that which slow errors may have."""
     data = tracks.data
     noisy = tracks.noise.noisy if tracks.noise.noisy is not None else _noisy(tracks)
@@ -107,16 +133,19 @@ def _lasting(u: FloatArray, good: BoolArray) -> tuple[FloatArray, FloatArray, Fl
     order = np.argsort(~good, axis=-1, kind="stable")
     u, good = np.take_along_axis(u, order[..., None], axis=1), np.take_along_axis(good, order, axis=-1)
     count = good.sum(axis=-1)
-    lag = max(1, round(LAG * float(count.max(initial=0))))
+    lag: NDArray[np.intp] = np.maximum(np.rint(LAG * count), 1.0).astype(np.intp)
+    later: NDArray[np.intp] = np.arange(u.shape[1], dtype=np.intp) + lag[:, None]
+    both: BoolArray = later < count[:, None]
     u, pairs = np.where(good[..., None], u, 0.0), np.maximum(count - lag, 1)
-    lasting = np.sum(u[:, lag:] * u[:, :-lag], axis=(1, 2)) / (3 * pairs)
+    later_u = np.take_along_axis(u, np.where(both, later, 0)[..., None], axis=1)
+    lasting = np.einsum("pt,pti,pti->p", both.astype(np.float64), u, later_u) / (3 * pairs)
     whole = np.sum(u**2, axis=(1, 2)) / (3 * np.maximum(count, 1))
     known = (count > lag) & (whole > 0)
     share = np.where(known, lasting / np.where(known, whole, 1.0), 0.0)
     return np.where(known, np.maximum(lasting, 0.0), 0.0), share, np.where(known, 1 / np.sqrt(3 * pairs), 0.0)
 
 
-def _share_left(best: JointFit, still: JointFit, good: BoolArray) -> FloatArray:
+def _share_left(best: Left | JointFit, still: JointFit, good: BoolArray) -> FloatArray:
     """(P,) share of the motion, a turn of one radian counting as BALANCE_M, that the likeliest type leaves."""
     left, moved = (
         np.sum(good * (np.sum(v**2, axis=-1) + BALANCE_M**2 * np.sum(w**2, axis=-1)), axis=-1)

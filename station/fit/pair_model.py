@@ -105,17 +105,18 @@ class Model:
 
     def mapped(self, change: Callable[[FloatArray], FloatArray]) -> Model:
         """With each array changed."""
-        f = self.frames
-        frames = JointFrames(change(f.T_parent_axis), change(f.T_axis_child), change(f.form))
-        rest = [change(array) for array in (self.q, self.scales, self.outlier_share, self.flip_share)]
-        return Model(frames, *rest)
+        return Model.of([change(array) for array in self.arrays])
 
     @property
-    def arrays(self) -> list[FloatArray]:
-        """All arrays, in the order of `mapped`."""
-        found: list[FloatArray] = []
-        self.mapped(lambda array: found.append(array) or array)
-        return found
+    def arrays(self) -> tuple[FloatArray, ...]:
+        """All arrays."""
+        f = self.frames
+        return f.T_parent_axis, f.T_axis_child, f.form, self.q, self.scales, self.outlier_share, self.flip_share
+
+    @staticmethod
+    def of(arrays: Sequence[FloatArray]) -> Model:
+        """A model of its `arrays`."""
+        return Model(JointFrames(*arrays[:3]), *arrays[3:])
 
     def take(self, pairs: IntArray | BoolArray) -> Model:
         """The models of some of the pairs."""
@@ -123,9 +124,11 @@ class Model:
 
     def where(self, chosen: BoolArray, other: Model) -> Model:
         """This model for the chosen pairs (P,), for the rest the other."""
-        theirs = iter(other.arrays)
-        return self.mapped(
-            lambda array: np.where(np.reshape(chosen, (-1, *[1] * (array.ndim - 1))), array, next(theirs))
+        return Model.of(
+            [
+                np.where(chosen.reshape(-1, *[1] * (mine.ndim - 1)), mine, theirs)
+                for mine, theirs in zip(self.arrays, other.arrays, strict=True)
+            ]
         )
 
     def with_rows(self, rows: IntArray, some: Model) -> Model:
@@ -210,12 +213,11 @@ def residual_jacobian(residual: FloatArray) -> FloatArray:
 def stepped_frames(joint: JointType, frames: JointFrames, step: FloatArray) -> JointFrames:
     """Frames moved by parameter steps (..., n): those of T_parent_axis, of T_axis_child, of the form."""
     split, end = len(joint.axis_freedoms), len(joint.axis_freedoms) + len(joint.child_freedoms)
-    xi_axis, xi_child = np.zeros((*step.shape[:-1], 6)), np.zeros((*step.shape[:-1], 6))
-    xi_axis[..., list(joint.axis_freedoms)] = step[..., :split]
-    xi_child[..., list(joint.child_freedoms)] = step[..., split:end]
-    return JointFrames(
-        frames.T_parent_axis @ se3.exp(xi_axis), se3.exp(xi_child) @ frames.T_axis_child, frames.form + step[..., end:]
-    )
+    twists = np.zeros((2, *step.shape[:-1], 6))
+    twists[0][..., list(joint.axis_freedoms)] = step[..., :split]
+    twists[1][..., list(joint.child_freedoms)] = step[..., split:end]
+    of_axis, of_child = se3.exp(twists)
+    return JointFrames(frames.T_parent_axis @ of_axis, of_child @ frames.T_axis_child, frames.form + step[..., end:])
 
 
 def small_inverse(S: FloatArray) -> FloatArray:

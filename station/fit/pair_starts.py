@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from station.errors import InvalidData
-from station.fit.pair_likelihood import Likelihood, likelihood
+from station.fit.pair_likelihood import likelihood
 from station.fit.pair_model import OUTLIER_SHARE_START, Model, PairTracks
 from station.fit.pair_residuals import errors
 from station.kinematics import se3
@@ -28,10 +28,10 @@ FLIP_SHARE_START = 0.01
 
 @dataclass(frozen=True, eq=False)
 class Start:
-    """A model to start from, how likely it makes the frames, and weights (P, T) for the next closed form."""
+    """A model to start from, its -2 log likelihood (P,), and weights (P, T) for the next closed form."""
 
     model: Model
-    likelihood: Likelihood
+    cost: FloatArray
     weights: FloatArray
 
 
@@ -91,22 +91,15 @@ def judged(joint: JointType, tracks: PairTracks, frames: JointFrames, weights: F
     residual = whitening(at.d, at.e)
     chi2 = np.sum(residual**2, axis=0)
     student = (STUDENT_FREEDOMS + tracks.dimensions) / (STUDENT_FREEDOMS + chi2)
-    return Start(model, likelihood(data, model, whitening, residual, np.zeros(len(q))), student * tracks.seen)
+    cost = likelihood(data, model, whitening, residual, np.zeros(len(q))).cost
+    return Start(model, cost, student * tracks.seen)
 
 
 def likelier(one: Start, other: Start) -> Start:
     """The likelier of two starts for each pair."""
-    better = one.likelihood.cost < other.likelihood.cost
-    tall = better[:, None]
-    a, b = one.likelihood, other.likelihood
-    chosen = [
-        np.where(tall, x, y)
-        for x, y in (
-            (a.log_inside, b.log_inside),
-            (a.log_total, b.log_total),
-            (a.inlier, b.inlier),
-            (a.oriented, b.oriented),
-            (one.weights, other.weights),
-        )
-    ]
-    return Start(one.model.where(better, other.model), Likelihood(*chosen[:4]), chosen[4])
+    better = one.cost < other.cost
+    return Start(
+        one.model.where(better, other.model),
+        np.where(better, one.cost, other.cost),
+        np.where(better[:, None], one.weights, other.weights),
+    )

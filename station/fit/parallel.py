@@ -9,10 +9,15 @@ from contextlib import AbstractContextManager, contextmanager
 from contextvars import ContextVar
 from typing import TypeVar
 
+import numpy as np
+from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits  # pyright: ignore[reportMissingTypeStubs]
 
 Work = TypeVar("Work")
 Result = TypeVar("Result")
+
+# Frames of all pairs in a piece: their numbers stay in a core's cache.
+FRAMES_AT_ONCE = 8_000
 
 _alone: ContextVar[bool] = ContextVar("alone", default=False)
 
@@ -34,6 +39,12 @@ def cores() -> int:
     """How many cores this program may use."""
     affinity = getattr(os, "sched_getaffinity", None)
     return len(affinity(0)) if affinity is not None else os.cpu_count() or 1
+
+
+def pieces(pairs: int, frames: int) -> list[NDArray[np.intp]]:
+    """Rows of pairs of so many frames, in pieces of about equal size."""
+    count = min(-(-pairs * frames // FRAMES_AT_ONCE), pairs)
+    return np.array_split(np.arange(pairs), max(count, 1))
 
 
 def each(function: Callable[[Work], Result], work: Sequence[Work]) -> list[Result]:

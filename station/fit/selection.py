@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from station.fit.criteria import CRITERIA, Compared, check_criterion
 from station.fit.evidence import correlation_time
-from station.fit.free_pairs import log_odds_of_free, stays_in_place
+from station.fit.free_pairs import Left, log_odds_of_free, stays_in_place
 from station.fit.pairwise import JointFit, PairTracks
 from station.fit.state_spread import continuous_states
 from station.logs import FloatArray
@@ -151,15 +151,16 @@ def _explained(
     A part in the middle of a ball joint turns and stays where it is: positions tell of no joint, and as noise of the
     orientations any turns are as likely. Where no type explains them the pair is free, and all stays as it is.
     """
-    likeliest = np.argmin(table, axis=0)
     rows = np.flatnonzero(odds > 0)
+    if rows.size:
+        likeliest = Left.by(list(fits.values()), np.argmin(table, axis=0))
+        rows = rows[stays_in_place(likeliest.take(rows), tracks.take(rows))]
     if not rows.size:
         return table, odds
     some, taken = tracks.take(rows), [fit.take(rows) for fit in fits.values()]
-    in_place = np.stack([stays_in_place(fit, some) for fit in taken])[likeliest[rows], np.arange(len(rows))]
     still = taken[list(fits).index("rigid")] if "rigid" in fits else None
     left = np.stack([log_odds_of_free(fit, still, some, time[rows]) for fit in taken])
-    explained = in_place & (left.min(axis=0) < 0)
+    explained = left.min(axis=0) < 0
     table, odds = table.copy(), odds.copy()
     table[:, rows] += 2 * explained * np.maximum(left, 0.0)
     odds[rows] = np.where(explained, left[np.argmin(table[:, rows], axis=0), np.arange(len(rows))], odds[rows])
@@ -168,13 +169,4 @@ def _explained(
 
 def _free(fits: Mapping[str, JointFit], tracks: PairTracks, best: NDArray[np.intp], time: FloatArray) -> FloatArray:
     """(P,) log odds of free against each pair's likeliest type."""
-    odds = np.zeros(len(best))
-    still = fits.get("rigid")
-    for i, fit in enumerate(fits.values()):  # types are few
-        rows = np.flatnonzero(best == i)
-        if rows.size:
-            mine = fit.take(rows)
-            odds[rows] = log_odds_of_free(
-                mine, None if still is None else still.take(rows), tracks.take(rows), time[rows]
-            )
-    return odds
+    return log_odds_of_free(Left.by(list(fits.values()), best), fits.get("rigid"), tracks, time)

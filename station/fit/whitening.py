@@ -317,9 +317,12 @@ def _along_and_across(outer: FloatArray, along: FloatArray, across: FloatArray) 
 
 def _hat(p: FloatArray, factor: FloatArray) -> FloatArray:
     """(3, 3, P, T) matrices of -factor p x."""
-    x, y, z = p * factor
-    zero = np.zeros_like(x)
-    return np.stack([np.stack([zero, z, -y]), np.stack([-z, zero, x]), np.stack([y, -x, zero])])
+    found = np.zeros((3, *p.shape))
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        np.multiply(p[k], factor, out=found[i, j])
+        np.negative(found[i, j], out=found[j, i])
+    return found
 
 
 def medians(values: FloatArray, seen: BoolArray) -> FloatArray:

@@ -40,12 +40,13 @@ def _coefficient(t: FloatArray, series: tuple[float, ...], closed: FloatArray) -
 
 def _sin_over(t: FloatArray) -> FloatArray:
     """sin(t) / t."""
-    return np.sinc(t / np.pi)
+    s = np.where(t == 0, 1.0, t)
+    return np.where(t == 0, 1.0, np.sin(s) / s)
 
 
 def _cos2_over(t: FloatArray) -> FloatArray:
     """(1 - cos t) / t^2."""
-    return 0.5 * np.sinc(t / (2 * np.pi)) ** 2
+    return 0.5 * _sin_over(0.5 * t) ** 2
 
 
 def _sin3_over(t: FloatArray) -> FloatArray:
@@ -81,7 +82,9 @@ def _floats(values: ArrayLike, *tail: int) -> FloatArray:
 
 def identity(*batch: int) -> FloatArray:
     """Identity poses of shape (*batch, 4, 4)."""
-    return np.broadcast_to(np.eye(4), (*batch, 4, 4)).copy()
+    T = np.zeros((*batch, 4, 4))
+    T[..., range(4), range(4)] = 1.0
+    return T
 
 
 def pose(R: ArrayLike, t: ArrayLike) -> FloatArray:
@@ -90,7 +93,9 @@ def pose(R: ArrayLike, t: ArrayLike) -> FloatArray:
     T = identity(*np.broadcast_shapes(rotation.shape[:-2], shift.shape[:-1]))
     T[..., :3, :3] = rotation
     T[..., :3, 3] = shift
-    T[np.isnan(T).any(axis=(-2, -1))] = np.nan
+    odd = np.isnan(T)
+    if odd.any():
+        T[odd.any(axis=(-2, -1))] = np.nan
     return T
 
 
@@ -102,7 +107,12 @@ def translation(t: ArrayLike) -> FloatArray:
 def rotation_z(q: ArrayLike) -> FloatArray:
     """(..., 4, 4) rotation about z by q (...,) in radians; R_z of the paper."""
     q = np.asarray(q, dtype=np.float64)
-    return exp(np.stack([*[np.zeros_like(q)] * 5, q], axis=-1))
+    T = identity(*q.shape)
+    T[..., 0, 0] = T[..., 1, 1] = np.cos(q)
+    T[..., 1, 0] = np.sin(q)
+    T[..., 0, 1] = -T[..., 1, 0]
+    T[np.isnan(q)] = np.nan
+    return T
 
 
 def hat3(w: ArrayLike) -> FloatArray:
@@ -128,8 +138,23 @@ def exp_so3(w: ArrayLike) -> FloatArray:
 def _quaternion_wxyz(R: FloatArray) -> FloatArray:
     """Unit quaternions (..., 4), w first and not negative, of rotations (..., 3, 3).
 
-    The four rows of 4 q q^T are read off the matrix; the one with the largest diagonal entry has no cancellation.
+    The four rows of 4 q q^T are read off the matrix; the one with the largest diagonal entry has no cancellation. For
+    all turns of less than 120 degrees it is the first one.
     """
+    m = [[R[..., i, j] for j in range(3)] for i in range(3)]
+    w, x, y = m[2][1] - m[1][2], m[0][2] - m[2][0], m[1][0] - m[0][1]
+    d = [m[0][0], m[1][1], m[2][2]]
+    trace = d[0] + d[1] + d[2]
+    q = np.stack([1 + trace, w, x, y], axis=-1)
+    far = ~(trace >= np.maximum(np.maximum(d[0], d[1]), d[2]))
+    if far.any():
+        q[far] = _far_quaternion(R[far])
+    unit = _unit(q)
+    return np.where(unit[..., :1] < 0, -unit, unit)
+
+
+def _far_quaternion(R: FloatArray) -> FloatArray:
+    """(N, 4) of rotations (N, 3, 3) of any angle, not of unit length."""
     m = [[R[..., i, j] for j in range(3)] for i in range(3)]
     w, x, y = m[2][1] - m[1][2], m[0][2] - m[2][0], m[1][0] - m[0][1]
     xy, xz, yz = m[0][1] + m[1][0], m[0][2] + m[2][0], m[1][2] + m[2][1]
@@ -145,8 +170,7 @@ def _quaternion_wxyz(R: FloatArray) -> FloatArray:
     )
     best = np.argmax(np.diagonal(rows, axis1=-2, axis2=-1), axis=-1)[..., None, None]
     q: FloatArray = np.take_along_axis(rows, best, axis=-2)[..., 0, :]
-    unit = _unit(q)
-    return np.where(unit[..., :1] < 0, -unit, unit)
+    return q
 
 
 def log_so3(R: ArrayLike) -> FloatArray:
@@ -178,8 +202,11 @@ def inverse_left_jacobian_so3(w: ArrayLike) -> FloatArray:
 def exp(xi: ArrayLike) -> FloatArray:
     """(..., 4, 4) pose of the twist xi (..., 6) = [v (m), w (rad)]; paper, 11."""
     xi = _floats(xi, 6)
-    v, w = xi[..., :3], xi[..., 3:]
-    return pose(exp_so3(w), (left_jacobian_so3(w) @ v[..., None])[..., 0])
+    t, W, W2 = _powers(xi[..., 3:])
+    cos2 = _cos2_over(t)
+    R = np.eye(3) + _sin_over(t) * W + cos2 * W2
+    J = np.eye(3) + cos2 * W + _sin3_over(t) * W2
+    return pose(R, (J @ xi[..., :3, None])[..., 0])
 
 
 def log(T: ArrayLike) -> FloatArray:
@@ -259,16 +286,22 @@ def _unit(v: FloatArray) -> FloatArray:
     return v / np.linalg.norm(v, axis=-1, keepdims=True)
 
 
+def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
+    """(..., 3) vector product; on few vectors quicker than NumPy's."""
+    (a0, a1, a2), (b0, b1, b2) = (np.moveaxis(v, -1, 0) for v in (a, b))
+    return np.stack([a1 * b2 - a2 * b1, a2 * b0 - a0 * b2, a0 * b1 - a1 * b0], axis=-1)
+
+
 def rotation_between(a: ArrayLike, b: ArrayLike) -> FloatArray:
     """(..., 3, 3) smallest rotation that takes the direction a (..., 3) to the direction b (..., 3).
 
     Opposite directions turn by pi about an axis at right angles to a.
     """
-    start, end = _unit(_floats(a, 3)), _unit(_floats(b, 3))
-    axis = np.cross(start, end)
+    start, end = np.broadcast_arrays(_unit(_floats(a, 3)), _unit(_floats(b, 3)))
+    axis = _cross(start, end)
     sine = np.linalg.norm(axis, axis=-1, keepdims=True)
     turn = np.arctan2(sine, np.sum(start * end, axis=-1, keepdims=True))
-    across = np.cross(start, np.eye(3)[np.argmin(np.abs(start), axis=-1)])
+    across = _cross(start, np.eye(3)[np.argmin(np.abs(start), axis=-1)])
     return exp_so3(turn * np.where(sine > 0, axis / np.where(sine > 0, sine, 1.0), _unit(across)))
 
 

@@ -13,9 +13,10 @@ from scipy.sparse.csgraph import minimum_spanning_tree
 
 from station.fit.learner import learn
 from station.fit.paper import PaperSteps, Weights, low_pass, unsmoothed, weighted_cost
+from station.fit.paper.cost import Cost
 from station.fit.paper.joints import PaperPrismatic, PaperRevolute
-from station.fit.paper.matching import Match, fit_joint, match_joints
-from station.fit.paper.optimiser import bfgs
+from station.fit.paper.matching import Match, match_joints
+from station.fit.paper.optimiser import bfgs, one_by_one
 from station.fit.paper.starts import start_revolute
 from station.fit.paper.steps import spanning_tree
 from station.formats.legacy_aruco import rotation_of_angles
@@ -125,6 +126,12 @@ def gradients(seed: int, pairs: int = 300) -> Gradients:
     return Gradients(numeric, metric.twist_gradient(U, V, c=1.0, d=1.0)[:, 3:], along)
 
 
+def fitted(start: PaperRevolute, x: FloatArray, cost: Cost) -> PaperRevolute:
+    """The joint with the least cost, by BFGS."""
+    joint = one_by_one(bfgs)(PaperRevolute.batch([start]), x[None], cost)
+    return PaperRevolute(*joint.take(0).arrays)
+
+
 def conventions(seed: int) -> dict[str, tuple[float, float]]:
     """3: residual rms [deg, mm] of the best hinge of exact poses, by both formulas of the relative pose."""
     rng = np.random.default_rng(seed)
@@ -134,7 +141,7 @@ def conventions(seed: int) -> dict[str, tuple[float, float]]:
     x_b = x_a @ x
     found: dict[str, tuple[float, float]] = {}
     for name, delta in (("(x^a)^-1 x^b", se3.inverse(x_a) @ x_b), ("x^b (x^a)^-1", x_b @ se3.inverse(x_a))):
-        joint, _ = fit_joint(start_revolute(delta, rng), delta, COST, bfgs)
+        joint = fitted(start_revolute(delta, rng), delta, COST)
         off = se3.inverse(joint.fk(joint.ik(delta))) @ delta
         turn, shift = se3.angle(off[:, :3, :3]), np.linalg.norm(off[:, :3, 3], axis=-1)
         found[name] = float(np.degrees(np.sqrt(np.mean(turn**2)))), float(1e3 * np.sqrt(np.mean(shift**2)))
@@ -201,7 +208,7 @@ def _from_starts(rng: np.random.Generator, radius_m: float) -> list[tuple[float,
             asked += 1
             return COST(T_model, T_measured)
 
-        end, _ = fit_joint(start, x, counted, bfgs)
+        end = fitted(start, x, counted)
         found.append((angle_deg(start.r[:3, 2], axis), angle_deg(end.r[:3, 2], axis), asked))
     return found
 
@@ -213,7 +220,7 @@ def _left_of_exact(rng: np.random.Generator) -> list[float]:
 
 def paper_match(x: FloatArray, rng: np.random.Generator) -> Match:
     """Algorithm 1 with the true noise for weights, no smoothing."""
-    return match_joints(x, TYPES, PaperSteps(smoothing=unsmoothed, cost=COST), rng)
+    return match_joints(x[None], TYPES, PaperSteps(smoothing=unsmoothed, cost=COST), rng)[0]
 
 
 def aic(costs: dict[str, float], *, overrated: float = 1.0, states_of: int = 0) -> str:

@@ -176,6 +176,17 @@ def test_the_table_has_designs_columns_first_in_both_forms(tmp_path: Path):
     assert [int(line["seed"]) for line in table] == [line["seed"] for line in told] == [cell.seed for cell in CELLS[:4]]
 
 
+def test_rows_of_different_versions_are_told(tmp_path: Path):
+    begun(tmp_path)
+    assert not read_sweep(tmp_path).notices
+    later = outcome_of(CELLS[3])
+    with Store.open(tmp_path, GRID) as store:
+        store.add([replace(later, row=replace(later.row, versions="numpy 9"))])
+        assert store.sweep().notices == read_sweep(tmp_path).notices
+    (notice,) = read_sweep(tmp_path).notices
+    assert "made up; numpy 9" in notice
+
+
 def test_tables_whose_columns_are_all_blank_have_their_types(tmp_path: Path):
     row = replace(outcome_of(CELLS[0]).row, axis_error_deg=None)
     types = dict(zip(rows_table([row]).column_names, map(str, rows_table([row]).schema.types), strict=True))

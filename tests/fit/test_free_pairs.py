@@ -7,8 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from station.fit.bodies import bodies_of_log, pair_tracks, with_reference
+from station.fit.free_pairs import log_odds_of_free
 from station.fit.learner import learn
 from station.fit.options import FitOptions
+from station.fit.pairwise import fit_types
 from station.logs import PoseLog
 from tests.benchmarks.made_joints import Faults, poses, random_poses, single_joint, watch
 from tests.benchmarks.nulls import Cell, free_motion, true_poses
@@ -101,3 +104,20 @@ def test_a_body_that_is_seen_rarely_among_others_is_no_harm() -> None:
     tree = learn(replace(log, T_ref_part=seen, parts=("a", "rare", "b"))).tree
     assert tree.rigid_groups == (("a", "b"),) and tree.joints == ()
     assert any("rare was seen in 9" in warning for warning in tree.warnings)
+
+
+def test_what_makes_a_pair_free_is_not_what_is_looked_at_beside_it() -> None:
+    """Half of a pair's frames, with all frames of another one beside it, and alone: the lag is of its own frames."""
+    rng = np.random.default_rng(136)
+    made = single_joint(rng, "revolute", frames=200, travel=0.25, arm_m=0.2)
+    T = np.concatenate([made.T_ref_part[:, :1], free_motion(rng, "walk", 200)[:, None]], axis=1)
+    log = watch(rng, T, STD_M, STD_RAD).log
+    seen = np.array(log.T_ref_part)
+    seen[::2, 0] = np.nan
+    bodies = with_reference(bodies_of_log(replace(log, T_ref_part=seen)), log.reference)
+    both, alone = (pair_tracks(bodies, np.array(pairs)) for pairs in ([[0, 1], [0, 2]], [[0, 1]]))
+    odds = [
+        log_odds_of_free(fit_types(tracks, ["rigid"])["rigid"], None, tracks, np.ones(len(tracks.seen)))
+        for tracks in (both, alone)
+    ]
+    assert odds[0][0] == pytest.approx(odds[1][0], rel=1e-6)

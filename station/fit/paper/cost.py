@@ -11,16 +11,18 @@ from dataclasses import dataclass
 import numpy as np
 
 from station.errors import InvalidData
-from station.kinematics import metric
+from station.kinematics import metric, se3
 from station.logs import FloatArray
 
-# Model poses and measured poses, (T, 4, 4) each, to costs (T,) and their gradients (T, 6) along right perturbations
-# [m, rad] of the model.
+# Model poses and measured poses, (..., 4, 4) each, to costs (...,) and their gradients (..., 6) along right
+# perturbations [m, rad] of the model. Near zero the cost is to grow with the square of the distance.
 Cost = Callable[[FloatArray, FloatArray], tuple[FloatArray, FloatArray]]
 
 # Noise per axis of a relative pose of two 2-inch markers half a metre from a webcam, about.
 DEFAULT_NOISE_RAD = np.radians(1.0)
 DEFAULT_NOISE_M = 0.002
+# Of differences of a cost's gradient [m, rad].
+CURVATURE_STEP = 1e-4
 
 
 @dataclass(frozen=True)
@@ -67,3 +69,14 @@ def weighted_cost(weights: Weights) -> Cost:
         return shift / (4 * weights.d) + turn / (8 * weights.c), gradient
 
     return cost
+
+
+def curvature_of(cost: Cost) -> FloatArray:
+    """(6, 6) second derivative of a cost along right perturbations [m, rad] of a model that meets its pose.
+
+    By central differences of the gradient, whose step is exact to rounding for (16): 2d and 4c on the diagonal.
+    """
+    steps = CURVATURE_STEP * np.concatenate([np.eye(6), -np.eye(6)])
+    _, gradient = cost(se3.exp(steps), se3.identity(len(steps)))
+    slope = (gradient[:6] - gradient[6:]) / (2 * CURVATURE_STEP)
+    return 0.5 * (slope + slope.T)

@@ -53,7 +53,7 @@ def eliminate_rigid(parts: int, edges: Sequence[Edge]) -> Skeleton:
     """The tree of bodies of a tree of parts."""
     rigid = [edge for edge in edges if edge.joint.name == "rigid"]
     pairs = np.array([(edge.parent, edge.child) for edge in rigid], dtype=np.intp).reshape(-1, 2)
-    T_a_b = np.array([edge.joint.fk(np.zeros(())) for edge in rigid]).reshape(-1, 4, 4)
+    T_a_b = np.array([edge.joint.fk(np.zeros(1))[0] for edge in rigid]).reshape(-1, 4, 4)
     groups = merged(singles(parts), pairs, T_a_b)
     place = {part: (body, i) for body, group in enumerate(groups) for i, part in enumerate(group.members)}
     moving = [_absorbed(edge, groups, place) for edge in edges if edge.joint.name != "rigid"]

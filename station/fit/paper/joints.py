@@ -1,4 +1,4 @@
-"""The paper's joints (18-23) as it parametrises them: kinematics, gradients, and what absorbs a rigid offset (Table I).
+"""The paper's joints (18-23) as it parametrises them: kinematics, slopes, and what absorbs a rigid offset (Table I).
 
 `fk(q)` is T_parent_child. The paper writes a relative pose as (x^j)^-1 x^i in section II-B and as x^b (x^a)^-1 in
 Algorithm 1: these are one and the same only if x is the part's pose in the world in the first and the world's pose in
@@ -12,23 +12,29 @@ counts are 6, 7 and 9).
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
 from typing import ClassVar, Self
 
 import numpy as np
+from numpy.typing import NDArray
 
 from station.kinematics import se3
 from station.kinematics.joints import JointGeometry
 from station.logs import FloatArray
 
+IntArray = NDArray[np.intp]
+
 FLIP = np.diag([1.0, -1.0, -1.0, 1.0])  # half turn about x: FLIP R_z(q) FLIP = R_z(-q)
 
 
 class PaperJoint(ABC):
-    """A joint type with its parameters. A new one is a subclass and a start in `PaperSteps.starts`.
+    """A joint type with its parameters, of one joint or of a batch (...,) of them.
 
-    A step (k,) of the optimiser perturbs each SE(3) parameter on its right by `exp([v, w])`, if the type doesn't say
-    otherwise.
+    A new one is a dataclass of arrays, and a start in `PaperSteps.starts`.
+
+    A step (..., k) of the optimiser perturbs each SE(3) parameter on its right by `exp([v, w])`, if the type
+    doesn't say otherwise.
 
     Attributes:
         name: of the joint type, as in the registry of joint types.
@@ -40,28 +46,27 @@ class PaperJoint(ABC):
 
     @abstractmethod
     def fk(self, q: FloatArray) -> FloatArray:
-        """T_parent_child (T, 4, 4) at states q (T,)."""
+        """T_parent_child (..., T, 4, 4) at states q (..., T)."""
 
     @abstractmethod
     def ik(self, T_parent_child: FloatArray) -> FloatArray:
-        """States (T,) of poses (T, 4, 4)."""
+        """States (..., T) of poses (..., T, 4, 4)."""
 
     @abstractmethod
     def moved(self, step: FloatArray) -> Self:
-        """The joint a step (k,) away."""
+        """The joint a step (..., k) away."""
 
     @abstractmethod
     def chart(self, step: FloatArray) -> FloatArray:
-        """(k, k) J with moved(step + d) = moved(step).moved(J d) to first order."""
+        """(..., k, k) J with moved(step + d) = moved(step).moved(J d) to first order."""
 
     @abstractmethod
-    def gradient(self, T_parent_child: FloatArray, q: FloatArray, along_fk: FloatArray) -> FloatArray:
-        """Gradient (k,) along small steps of the sum over frames of a cost of fk(ik(x)), states included.
+    def slopes(self, T_parent_child: FloatArray, q: FloatArray) -> FloatArray:
+        """(..., 6, T, k) right perturbations of fk(ik(x)) by small steps, states included.
 
         Args:
-            T_parent_child: (T, 4, 4) measured, x.
-            q: (T,) their states, ik(x).
-            along_fk: (T, 6) gradient of each frame's cost along right perturbations of fk(q).
+            T_parent_child: (..., T, 4, 4) measured, x.
+            q: (..., T) their states, ik(x).
         """
 
     @abstractmethod
@@ -78,7 +83,28 @@ class PaperJoint(ABC):
 
     @abstractmethod
     def geometry(self, zero: float) -> JointGeometry:
-        """The joint as the rest of the station holds it, with its state counted from `zero` [m or rad]."""
+        """One joint as the rest of the station holds it, with its state counted from `zero` [m or rad]."""
+
+    @classmethod
+    def batch(cls, joints: Sequence[Self]) -> Self:
+        """Joints of one type, as a batch (P,)."""
+        return cls(*(np.stack(arrays) for arrays in zip(*(joint.arrays for joint in joints), strict=True)))
+
+    @property
+    def arrays(self) -> tuple[FloatArray, ...]:
+        """The parameters, in the order of the fields."""
+        return tuple(getattr(self, field.name) for field in fields(self))  # pyright: ignore[reportArgumentType]
+
+    def take(self, rows: IntArray | int) -> Self:
+        """Some of a batch, or one of it."""
+        return type(self)(*(array[rows] for array in self.arrays))
+
+    def with_rows(self, rows: IntArray, some: Self) -> Self:
+        """A batch with others for some."""
+        arrays = [array.copy() for array in self.arrays]
+        for array, changed in zip(arrays, some.arrays, strict=True):
+            array[rows] = changed
+        return type(self)(*arrays)
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,7 +117,7 @@ class PaperRigid(PaperJoint):
     parameters = 6
 
     def fk(self, q: FloatArray) -> FloatArray:
-        return np.broadcast_to(self.o, (*q.shape, 4, 4))
+        return np.broadcast_to(self.o[..., None, :, :], (*q.shape, 4, 4))
 
     def ik(self, T_parent_child: FloatArray) -> FloatArray:
         return np.zeros(T_parent_child.shape[:-2])
@@ -102,8 +128,8 @@ class PaperRigid(PaperJoint):
     def chart(self, step: FloatArray) -> FloatArray:
         return se3.right_jacobian(step)
 
-    def gradient(self, T_parent_child: FloatArray, q: FloatArray, along_fk: FloatArray) -> FloatArray:
-        return along_fk.sum(axis=0)
+    def slopes(self, T_parent_child: FloatArray, q: FloatArray) -> FloatArray:
+        return np.broadcast_to(np.eye(6)[:, None], (*q.shape[:-1], 6, q.shape[-1], 6))
 
     def with_child_offset(self, T_child_offset: FloatArray) -> Self:
         return type(self)(self.o @ T_child_offset)
@@ -137,20 +163,27 @@ class PaperPrismatic(PaperJoint):
     parameters = 9
 
     def fk(self, q: FloatArray) -> FloatArray:
-        return se3.translation(q[..., None] * self.u) @ self.o
+        T = np.repeat(self.o[..., None, :, :], q.shape[-1], axis=-3)
+        T[..., :3, 3] += q[..., None] * self.u[..., None, :]
+        return T
 
     def ik(self, T_parent_child: FloatArray) -> FloatArray:
-        return self._offsets(T_parent_child) @ self.u
+        return (self._offsets(T_parent_child) @ self.u[..., None])[..., 0]
 
     def _offsets(self, T_parent_child: FloatArray) -> FloatArray:
-        """(T, 3) T^-1(x o^-1)."""
-        p_child = -se3.inverse(self.o)[:3, 3]
-        return T_parent_child[..., :3, 3] - T_parent_child[..., :3, :3] @ p_child
+        """(..., T, 3) T^-1(x o^-1)."""
+        turned = T_parent_child[..., :3, :3] @ self._p_child[..., None, :, None]
+        return T_parent_child[..., :3, 3] - turned[..., 0]
+
+    @property
+    def _p_child(self) -> FloatArray:
+        """(..., 3) O_R^T o_T."""
+        return np.einsum("...ji,...j->...i", self.o[..., :3, :3], self.o[..., :3, 3])
 
     def moved(self, step: FloatArray) -> Self:
-        u = self.u + step[6:]
-        o = se3.pose(self.o[:3, :3] @ se3.exp_so3(step[3:6]), self.o[:3, 3] + step[:3])
-        return type(self)(o, u / np.linalg.norm(u))
+        u = self.u + step[..., 6:]
+        o = se3.pose(self.o[..., :3, :3] @ se3.exp_so3(step[..., 3:6]), self.o[..., :3, 3] + step[..., :3])
+        return type(self)(o, u / np.linalg.norm(u, axis=-1, keepdims=True))
 
     def chart(self, step: FloatArray) -> FloatArray:
         J = np.zeros((9, 9))
@@ -160,16 +193,27 @@ class PaperPrismatic(PaperJoint):
         J[6:, 6:] = (np.eye(3) - np.outer(u, u) / (u @ u)) / np.linalg.norm(u)
         return J
 
-    def gradient(self, T_parent_child: FloatArray, q: FloatArray, along_fk: FloatArray) -> FloatArray:
-        along_p = along_fk[:, :3] @ self.o[:3, :3].T  # of fk's translation, in the parent's frame
-        along_q = along_p @ self.u
+    def slopes(self, T_parent_child: FloatArray, q: FloatArray) -> FloatArray:
         # ik(x) = u . (x_T - X_R p) with p = O_R^T o_T, which a step moves by O_R^T v - w x p.
-        u_child = along_q @ (self.u @ T_parent_child[:, :3, :3])
-        p_child = -se3.inverse(self.o)[:3, 3]
-        along_v = along_p.sum(axis=0) - self.o[:3, :3] @ u_child
-        along_w = along_fk[:, 3:].sum(axis=0) + np.cross(p_child, u_child)
-        along_u = q @ along_p + along_q @ self._offsets(T_parent_child)
-        return np.concatenate([along_v, along_w, along_u - (along_u @ self.u) * self.u])
+        R, u = self.o[..., :3, :3], self.u[..., None, :]
+        u_child = (u[..., None, :] @ T_parent_child[..., :3, :3])[..., 0, :]
+        by_q = np.concatenate(
+            [
+                -u_child @ np.swapaxes(R, -1, -2),
+                _cross(self._p_child[..., None, :], u_child),
+                self._offsets(T_parent_child) - q[..., None] * u,
+            ],
+            axis=-1,
+        )
+        along = np.einsum("...ji,...j->...i", R, self.u)
+        slopes = np.zeros((*q.shape[:-1], 6, q.shape[-1], 9))
+        slopes[..., :3, :, :] = along[..., None, None] * by_q[..., None, :, :]
+        columns = np.swapaxes(R, -1, -2)[..., None, :]
+        slopes[..., :3, :, :3] += columns
+        across = columns - along[..., None, None] * u[..., None, :, :]
+        slopes[..., :3, :, 6:] += q[..., None, :, None] * across
+        slopes[..., 3:, :, 3:6] = np.eye(3)[:, None]
+        return slopes
 
     def with_child_offset(self, T_child_offset: FloatArray) -> Self:
         return type(self)(self.o @ T_child_offset, self.u)
@@ -182,7 +226,7 @@ class PaperPrismatic(PaperJoint):
         return type(self)(inverse, -inverse[:3, :3] @ self.u)
 
     def geometry(self, zero: float) -> JointGeometry:
-        return JointGeometry(self.u, None, self.fk(np.array(zero)))
+        return JointGeometry(self.u, None, self.fk(np.array([zero]))[0])
 
 
 @dataclass(frozen=True, eq=False)
@@ -200,36 +244,48 @@ class PaperRevolute(PaperJoint):
     parameters = 12
 
     def fk(self, q: FloatArray) -> FloatArray:
-        return self.r @ _turn(q) @ self.c
+        return self.r[..., None, :, :] @ self._turned(q)
+
+    def _turned(self, q: FloatArray) -> FloatArray:
+        """(..., T, 4, 4) R_z(q) c, row by row: the optimiser asks for it at every step."""
+        c, cosine, sine = self.c[..., None, :, :], np.cos(q)[..., None], np.sin(q)[..., None]
+        T = np.repeat(c, q.shape[-1], axis=-3)
+        T[..., 0, :] = cosine * c[..., 0, :] - sine * c[..., 1, :]
+        T[..., 1, :] = sine * c[..., 0, :] + cosine * c[..., 1, :]
+        return T
 
     def ik(self, T_parent_child: FloatArray) -> FloatArray:
         R = self._rotations(T_parent_child)
         return np.arctan2(R[..., 1, 0] - R[..., 0, 1], R[..., 0, 0] + R[..., 1, 1])
 
     def _rotations(self, T_parent_child: FloatArray) -> FloatArray:
-        """(T, 3, 3) of r^-1 x c^-1."""
-        return self.r[:3, :3].T @ T_parent_child[..., :3, :3] @ self.c[:3, :3].T
+        """(..., T, 3, 3) of r^-1 x c^-1."""
+        R_r, R_c = (np.swapaxes(T[..., None, :3, :3], -1, -2) for T in (self.r, self.c))
+        return R_r @ T_parent_child[..., :3, :3] @ R_c
 
     def moved(self, step: FloatArray) -> Self:
-        by_r, by_c = se3.exp(step.reshape(2, 6))
-        return type(self)(self.r @ by_r, self.c @ by_c)
+        moves = se3.exp(step.reshape(*step.shape[:-1], 2, 6))
+        return type(self)(self.r @ moves[..., 0, :, :], self.c @ moves[..., 1, :, :])
 
     def chart(self, step: FloatArray) -> FloatArray:
         J = np.zeros((12, 12))
         J[:6, :6], J[6:, 6:] = se3.right_jacobian(step.reshape(2, 6))
         return J
 
-    def gradient(self, T_parent_child: FloatArray, q: FloatArray, along_fk: FloatArray) -> FloatArray:
-        to_child = se3.adjoint(se3.inverse(_turn(q) @ self.c))  # from a perturbation of r to one of fk; its z turns
-        along_q = (along_fk * to_child[..., 5]).sum(axis=-1)
-        along_r = np.einsum("ti,tij->j", along_fk, to_child)
-        along_c = along_fk.sum(axis=0)
-        # r exp(w) takes R of r^-1 x c^-1 to exp(-w) R, and c exp(w) to R exp(-R_c w).
-        R = self._rotations(T_parent_child)
-        W = _angle_slope(R)
-        along_r[3:] -= along_q @ _axial(W @ np.swapaxes(R, -1, -2))
-        along_c[3:] -= along_q @ _axial(np.swapaxes(R, -1, -2) @ W) @ self.c[:3, :3]
-        return np.concatenate([along_r, along_c])
+    def slopes(self, T_parent_child: FloatArray, q: FloatArray) -> FloatArray:
+        by_r, by_c = _angle_slopes(self._rotations(T_parent_child))
+        by_c = by_c @ self.c[..., :3, :3]  # c exp(w) is exp(R_c w) c
+        turned = self._turned(q)
+        slopes = np.zeros((*q.shape[:-1], 6, q.shape[-1], 12))
+        for i in range(3):  # rows of the adjoint of turned^-1, which takes a perturbation of r to one of fk
+            axis = turned[..., :3, i]
+            slopes[..., i, :, :3] = slopes[..., i + 3, :, 3:6] = axis
+            slopes[..., i, :, 3:6] = _cross(turned[..., :3, 3], axis)
+        by_q = slopes[..., 5:6].copy()
+        slopes[..., 3:6] += by_q * by_r[..., None, :, :]
+        slopes[..., 6:] = np.eye(6)[:, None]
+        slopes[..., 9:] += by_q * by_c[..., None, :, :]
+        return slopes
 
     def with_child_offset(self, T_child_offset: FloatArray) -> Self:
         return type(self)(self.r, self.c @ T_child_offset)
@@ -242,28 +298,24 @@ class PaperRevolute(PaperJoint):
 
     def geometry(self, zero: float) -> JointGeometry:
         axis = self.r[:3, 2]
-        return JointGeometry(axis, self.r[:3, 3] + self.c[2, 3] * axis, self.fk(np.array(zero)))
+        return JointGeometry(axis, self.r[:3, 3] + self.c[2, 3] * axis, self.fk(np.array([zero]))[0])
 
 
-def _turn(q: FloatArray) -> FloatArray:
-    """R_z(q) (T, 4, 4); without the exponential's generality, since the optimiser calls it at every step."""
-    T = se3.identity(*q.shape)
-    T[..., 0, 0] = T[..., 1, 1] = np.cos(q)
-    T[..., 1, 0] = np.sin(q)
-    T[..., 0, 1] = -T[..., 1, 0]
-    return T
+def _angle_slopes(R: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """By how much the nearest turn about z of exp(-w) R, and of R exp(-w), changes with w: (..., T, 3) each.
 
-
-def _angle_slope(R: FloatArray) -> FloatArray:
-    """Derivative (T, 3, 3) of the nearest turn about z with respect to the entries of R."""
+    With the turn q, tan q = s / k, and W its derivative by the entries of R, they are -b of b . w = <W R^T, hat(w)> and
+    of b . w = <R^T W, hat(w)>.
+    """
     s, k = R[..., 1, 0] - R[..., 0, 1], R[..., 0, 0] + R[..., 1, 1]
     square = s**2 + k**2
-    W = np.zeros(R.shape)
-    W[..., 1, 0], W[..., 0, 1] = k / square, -k / square
-    W[..., 0, 0] = W[..., 1, 1] = -s / square
-    return W
+    s, k, minus = s / square, k / square, np.full(square.shape, -1.0)
+    before = (k * R[..., 2, 0] - s * R[..., 2, 1], s * R[..., 2, 0] + k * R[..., 2, 1], minus)
+    after = (k * R[..., 0, 2] + s * R[..., 1, 2], k * R[..., 1, 2] - s * R[..., 0, 2], minus)
+    return np.stack(before, axis=-1), np.stack(after, axis=-1)
 
 
-def _axial(B: FloatArray) -> FloatArray:
-    """(T, 3) vectors b with b . w = <B, hat(w)> for every w."""
-    return np.stack([B[..., 2, 1] - B[..., 1, 2], B[..., 0, 2] - B[..., 2, 0], B[..., 1, 0] - B[..., 0, 1]], axis=-1)
+def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
+    """(..., 3) vector product; quicker than NumPy's, which the optimiser would call at every step."""
+    turned = (1, 2, 0), (2, 0, 1)
+    return a[..., turned[0]] * b[..., turned[1]] - a[..., turned[1]] * b[..., turned[0]]

@@ -1,4 +1,4 @@
-"""Matches the joint types to the relative motion of two parts (paper, Algorithm 1)."""
+"""Matches the joint types to the relative motions of pairs of parts (paper, Algorithm 1)."""
 
 from __future__ import annotations
 
@@ -7,10 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from station.fit.paper.cost import Cost
 from station.fit.paper.joints import PaperJoint
-from station.fit.paper.optimiser import Objective, Optimiser
 from station.fit.paper.steps import PaperSteps
+from station.fit.parallel import pieces
 from station.kinematics.joints import JOINT_TYPES
 from station.logs import FloatArray
 
@@ -57,12 +56,29 @@ class Match:
 
 def match_joints(
     T_parent_child: FloatArray, joint_types: Sequence[str], steps: PaperSteps, rng: np.random.Generator
-) -> Match:
-    """Fit every joint type to a pair's poses (T, 4, 4) and score it; `rng` draws the starts' time points."""
-    fits = {
-        name: fit_joint(steps.starts[name](T_parent_child, rng), T_parent_child, steps.cost, steps.optimiser)
-        for name in joint_types
-    }
+) -> list[Match]:
+    """Fit every joint type to the poses (P, T, 4, 4) of each pair and score it; `rng` draws the starts' time points."""
+    starts = [{name: steps.starts[name](x, rng) for name in joint_types} for x in T_parent_child]
+    fits = {name: _fitted([of_pair[name] for of_pair in starts], T_parent_child, steps) for name in joint_types}
+    return [_match(x, {name: fit[i] for name, fit in fits.items()}, steps) for i, x in enumerate(T_parent_child)]
+
+
+def _fitted(
+    starts: Sequence[PaperJoint], T_parent_child: FloatArray, steps: PaperSteps
+) -> list[tuple[PaperJoint, float]]:
+    """Joints of the starts' type with the least sums of costs over frames (line 19), and these sums."""
+    kind: type[PaperJoint] = type(starts[0])
+    found: list[tuple[PaperJoint, float]] = []
+    for piece in pieces(*T_parent_child.shape[:2]):  # memory asks for pieces
+        rows: list[int] = piece.tolist()
+        x = T_parent_child[rows]
+        joint = steps.optimiser(kind.batch([starts[i] for i in rows]), x, steps.cost)
+        costs, _ = steps.cost(joint.fk(joint.ik(x)), x)
+        found += [(joint.take(i), total) for i, total in enumerate(costs.sum(axis=-1).tolist())]
+    return found
+
+
+def _match(T_parent_child: FloatArray, fits: Mapping[str, tuple[PaperJoint, float]], steps: PaperSteps) -> Match:
     score = steps.criterion.score
     return Match(
         T_parent_child=T_parent_child,
@@ -70,24 +86,3 @@ def match_joints(
         costs={name: total for name, (_, total) in fits.items()},
         scores={name: score(joint, total, len(T_parent_child)) for name, (joint, total) in fits.items()},
     )
-
-
-def fit_joint(
-    start: PaperJoint, T_parent_child: FloatArray, cost: Cost, optimiser: Optimiser
-) -> tuple[PaperJoint, float]:
-    """The joint of the start's type with the least sum of costs over frames (line 19), and that sum."""
-    joint = start.moved(optimiser(objective_of(start, T_parent_child, cost), np.zeros(start.parameters)))
-    costs, _ = cost(joint.fk(joint.ik(T_parent_child)), T_parent_child)
-    return joint, float(costs.sum())
-
-
-def objective_of(start: PaperJoint, T_parent_child: FloatArray, cost: Cost) -> Objective:
-    """Sum over frames of the cost of fk(ik(x)) against x, of a step away from `start`."""
-
-    def objective(step: FloatArray) -> tuple[float, FloatArray]:
-        joint = start.moved(step)
-        q = joint.ik(T_parent_child)
-        costs, along_fk = cost(joint.fk(q), T_parent_child)
-        return float(costs.sum()), start.chart(step).T @ joint.gradient(T_parent_child, q, along_fk)
-
-    return objective

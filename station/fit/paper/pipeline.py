@@ -122,11 +122,8 @@ def _joined(parts: PoseLog, joint_types: Sequence[str], steps: PaperSteps) -> tu
     """What Algorithm 1 finds for every pair, and the joints between the pairs that the structure chooses."""
     rng = np.random.default_rng(steps.seed)
     pairs = np.stack(np.triu_indices(len(parts.parts), k=1), axis=-1).astype(np.intp)
-    T_part_ref = se3.inverse(parts.T_ref_part)
-    # One pair at a time: an optimiser's run has its own course. Frames are handled together.
-    matches = [
-        match_joints(T_part_ref[:, a] @ parts.T_ref_part[:, b], joint_types, steps, rng) for a, b in pairs.tolist()
-    ]
+    T_part_ref, T_ref_part = (np.swapaxes(T, 0, 1) for T in (se3.inverse(parts.T_ref_part), parts.T_ref_part))
+    matches = match_joints(T_part_ref[pairs[:, 0]] @ T_ref_part[pairs[:, 1]], joint_types, steps, rng)
     scores = np.array([match.scores[match.best] for match in matches])
     chosen: list[int] = steps.structure(len(parts.parts), pairs, scores).tolist()
     return matches, [Edge(int(pairs[i, 0]), int(pairs[i, 1]), matches[i].joint, i) for i in chosen]

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from station.fit.paper.cost import DEFAULT_WEIGHTS, Cost, weighted_cost
 from station.fit.paper.criterion import PAPER_AIC, Criterion
 from station.fit.paper.elimination import Elimination, eliminate_rigid
-from station.fit.paper.optimiser import Optimiser, bfgs
+from station.fit.paper.optimiser import Optimiser, scoring
 from station.fit.paper.starts import STARTS, Start
 from station.fit.structure import LEAST_WEIGHT, spanning_forest
 from station.logs import FloatArray, PoseLog
@@ -57,7 +57,7 @@ class PaperSteps:
         smoothing: of the poses, after frames with an unseen part are discarded.
         starts: what each joint type's fit starts from; its keys are the joint types that there are.
         cost: of model poses against measured ones, with its gradient.
-        optimiser: of a pair's cost over a joint's parameters.
+        optimiser: of pairs' costs over their joints' parameters.
         criterion: scores the joint types of a pair.
         structure: chooses the pairs that are joined.
         elimination: makes bodies of rigidly joined parts.
@@ -67,7 +67,7 @@ class PaperSteps:
     smoothing: Smoothing = low_pass
     starts: Mapping[str, Start] = field(default_factory=lambda: dict(STARTS))
     cost: Cost = weighted_cost(DEFAULT_WEIGHTS)  # noqa: RUF009 (a function, and as such not to be changed)
-    optimiser: Optimiser = bfgs
+    optimiser: Optimiser = scoring
     criterion: Criterion = PAPER_AIC
     structure: Structure = spanning_tree
     elimination: Elimination = eliminate_rigid

@@ -51,12 +51,7 @@ class Revolute(JointType):
 
     def axis_motion(self, q: FloatArray, form: FloatArray) -> FloatArray:
         """(..., 4, 4) rotation about z by q (..., 1) radians."""
-        T = se3.identity(*np.shape(q)[:-1])
-        T[..., 0, 0] = T[..., 1, 1] = np.cos(q[..., 0])
-        T[..., 1, 0] = np.sin(q[..., 0])
-        T[..., 0, 1] = -T[..., 1, 0]
-        T[np.isnan(q[..., 0])] = np.nan
-        return T
+        return se3.rotation_z(q[..., 0])
 
     def state_twists(self, form: FloatArray) -> FloatArray:
         """(..., 6, 1) about z."""
@@ -91,33 +86,38 @@ class Revolute(JointType):
         centre, _ = circle_about_z(p_axis, weights)
         arm = weighted_mean(turned_back(p_axis - centre[..., None, :], q), weights)
         by_circle = frames_along_axis(R_axis_parent, R_axis_child, centre, arm)
-        return by_turns, by_circle, self._by_positions(p, R, weights), _by_bent_line(p, R, weights)
+        line = weighted_scatter(p, weights)
+        return by_turns, by_circle, _by_positions(p, line[1], R, weights), _by_bent_line(p, line, R, weights)
 
     def position_starts(self, p_parent: FloatArray, weights: FloatArray) -> tuple[JointFrames, ...]:
         """A circle in the plane of the two leading singular vectors of the positions."""
-        return (self._by_positions(p_parent, None, weights),)
-
-    def _by_positions(self, p: FloatArray, R: FloatArray | None, weights: FloatArray) -> JointFrames:
-        _, directions = weighted_scatter(p, weights)
-        R_axis_parent = np.swapaxes(se3.rotation_between(Z, directions[..., 2]), -1, -2)
-        p_axis = p @ np.swapaxes(R_axis_parent, -1, -2)
-        centre, radius = circle_about_z(p_axis, weights)
-        p_axis = p_axis - centre[..., None, :]
-        arm = np.stack([radius, 0 * radius, 0 * radius], axis=-1)
-        if R is None:
-            return frames_along_axis(R_axis_parent, R_axis_parent, centre, arm)
-        q = np.arctan2(p_axis[..., 1], p_axis[..., 0])
-        back = np.swapaxes(se3.rotation_z(q)[..., :3, :3], -1, -2) @ R_axis_parent[..., None, :, :] @ R
-        return frames_along_axis(R_axis_parent, mean_rotation(back, weights), centre, arm)
+        return (_by_positions(p_parent, weighted_scatter(p_parent, weights)[1], None, weights),)
 
 
-def _by_bent_line(p: FloatArray, R: FloatArray, weights: FloatArray) -> JointFrames:
+def _by_positions(p: FloatArray, directions: FloatArray, R: FloatArray | None, weights: FloatArray) -> JointFrames:
+    """A circle in the plane of the first two principal directions (..., 3, 3) of positions (..., T, 3)."""
+    R_axis_parent = np.swapaxes(se3.rotation_between(Z, directions[..., 2]), -1, -2)
+    p_axis = p @ np.swapaxes(R_axis_parent, -1, -2)
+    centre, radius = circle_about_z(p_axis, weights)
+    p_axis = p_axis - centre[..., None, :]
+    arm = np.stack([radius, 0 * radius, 0 * radius], axis=-1)
+    if R is None:
+        return frames_along_axis(R_axis_parent, R_axis_parent, centre, arm)
+    q = np.arctan2(p_axis[..., 1], p_axis[..., 0])
+    back = np.swapaxes(se3.rotation_z(q)[..., :3, :3], -1, -2) @ R_axis_parent[..., None, :, :] @ R
+    return frames_along_axis(R_axis_parent, mean_rotation(back, weights), centre, arm)
+
+
+def _by_bent_line(
+    p: FloatArray, line: tuple[FloatArray, FloatArray], R: FloatArray, weights: FloatArray
+) -> JointFrames:
     """An arc that positions don't tell from a line: its curvature is that of the rotations over the way along it.
 
     With u along the line, s the way and w = d(rotation vector) / ds across u, the radius is 1 / |w|, the axis along w,
-    and its point, from u = w x (p - c), at c = p - u x w / |w|^2.
+    and its point, from u = w x (p - c), at c = p - u x w / |w|^2. `line` is the positions' mean and principal
+    directions.
     """
-    p_mean, directions = weighted_scatter(p, weights)
+    p_mean, directions = line
     u = directions[..., 0]
     s = np.einsum("...ti,...i->...t", p - p_mean[..., None, :], u)
     R_mean = mean_rotation(R, weights)

@@ -35,7 +35,7 @@ def rigid_pair(rng: np.random.Generator) -> FloatArray:
 def chosen(criterion: Criterion, weights: Weights) -> list[str]:
     steps = PaperSteps(smoothing=unsmoothed, cost=weighted_cost(weights), criterion=criterion)
     rngs = [np.random.default_rng(seed) for seed in range(TRIALS)]
-    return [match_joints(rigid_pair(rng), TYPES, steps, rng).best for rng in rngs]
+    return [match_joints(rigid_pair(rng)[None], TYPES, steps, rng)[0].best for rng in rngs]
 
 
 def test_the_cost_is_minus_twice_the_log_likelihood_with_the_weights_of_the_noise() -> None:
@@ -49,7 +49,7 @@ def test_the_cost_is_minus_twice_the_log_likelihood_with_the_weights_of_the_nois
 
 def test_aic_counts_6_9_and_12_parameters() -> None:
     rng = np.random.default_rng(0)
-    match = match_joints(rigid_pair(rng), TYPES, PaperSteps(), rng)
+    (match,) = match_joints(rigid_pair(rng)[None], TYPES, PaperSteps(), rng)
     penalties = [match.scores[name] - match.costs[name] for name in TYPES]
     np.testing.assert_allclose(penalties, [12, 18, 24], atol=1e-9)
 
@@ -70,7 +70,7 @@ def test_weights_that_overrate_the_noise_let_aic_choose_rigid() -> None:
 
 def test_probabilities_are_those_of_the_scores() -> None:
     rng = np.random.default_rng(3)
-    match = match_joints(rigid_pair(rng), TYPES, PaperSteps(), rng)
+    (match,) = match_joints(rigid_pair(rng)[None], TYPES, PaperSteps(), rng)
     assert sum(match.probabilities.values()) == pytest.approx(1)
     odds = match.probabilities["revolute"] / match.probabilities["prismatic"]
     assert -2 * np.log(odds) == pytest.approx(match.scores["revolute"] - match.scores["prismatic"])

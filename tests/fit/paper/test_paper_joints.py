@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from station.fit.paper.cost import Weights, weighted_cost
 from station.fit.paper.joints import PaperJoint, PaperPrismatic, PaperRevolute, PaperRigid
-from station.fit.paper.matching import objective_of
+from station.fit.paper.optimiser import objective_of
 from station.kinematics import metric
 from station.kinematics.joints import JOINT_TYPES
 from station.logs import FloatArray
