@@ -25,6 +25,7 @@ from station.report.axis_error_figure import axis_error_figure, axis_errors, axi
 from station.report.figure5 import drawn_joint, figure5, three_levels, write_figure5
 from station.report.joint_attempts import attempt_of, attempt_text, best_row
 from station.report.structure_figure import structure_figure
+from station.report.sweep_levels import conditions
 from station.report.types_figure import confusion, type_names, types_figure
 from station.simulate import GaussianNoise, SimulationOptions, UniformNoise
 
@@ -104,7 +105,7 @@ def drawn_over(figure: Figure) -> list[tuple[str, str]]:
 
 def test_all_figures_are_written_as_png_and_svg(tmp_path: Path) -> None:
     sweep = made_sweep(tmp_path)
-    written = write_figure5(sweep, tmp_path)
+    written = write_figure5(sweep, tmp_path / "new" / "figures")
     assert [path.name for path in written] == [
         f"{name}.{ending}" for name in ("figure5", "structure", "types", "axes") for ending in ("png", "svg")
     ]
@@ -199,6 +200,15 @@ def test_a_failed_fit_and_one_that_is_still_to_come_are_told_apart(tmp_path: Pat
     rows = [failed(cell) if cell.noise == LEVELS[0] else row(cell) for cell in cells if cell.noise != LEVELS[2]]
     told = [text for text, _ in texts(figure5(made_sweep(tmp_path, rows, methods=("paper",))))]
     assert "no fit succeeded" in told and "not fitted yet" in told
+
+
+def test_what_all_fits_share_is_told(tmp_path: Path) -> None:
+    plain, others = SimulationOptions(frames=30), SimulationOptions(frames=30, known_noise=True, missing=0.1)
+    assert conditions(made_sweep(tmp_path, [], options=plain)) == (
+        "experiment1; 30 frames, walk, moving root, uniform noise"
+    )
+    told = conditions(made_sweep(tmp_path, [], options=others))
+    assert told.endswith("uniform noise, known to the fit, 10 % not seen")
 
 
 def test_a_sweep_without_rows_has_no_figure_5(tmp_path: Path) -> None:

@@ -58,9 +58,9 @@ def _gearing(joint: Joint) -> dict[str, object]:
     low, high = limits_of(joint)
     span, middle = max(high, 0.0) - min(low, 0.0), 0.5 * (max(high, 0.0) + min(low, 0.0))
     if joint.unit == "m":
-        lead_mm = round(1e3 * span / TURN_SHARE, 3)
+        lead_mm = float(f"{1e3 * span / TURN_SHARE:.6g}")
         return {"zero": CENTRE - round(1e3 * middle / lead_mm * COUNTS), "lead_mm": lead_mm}
-    gear = round(min(1.0, TURN_SHARE * 2 * np.pi / span), 6)
+    gear = float(f"{min(1.0, TURN_SHARE * 2 * np.pi / span):.6g}")
     found: dict[str, object] = {"zero": CENTRE - round(gear * middle / (2 * np.pi) * COUNTS)}
     return found if gear == 1.0 else {**found, "gear": gear}
 

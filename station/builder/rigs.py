@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from calibration.intrinsics import CameraModel
-from station.builder.draft import Block, Draft
+from station.builder.draft import FARTHEST_DRAWN_M, Block, Draft
 from station.builder.drawing import part_blocks
 from station.builder.marking import mark_all
 from station.builder.plates import margin_m
@@ -185,7 +185,7 @@ def _room(draft: Draft, view: Viewpoint) -> tuple[Block, Block]:
     """A table under all that the object reaches, and a wall behind it as the camera sees it, on the root."""
     points = swept_points(draft, reached_states(draft))
     low, high = points.min(axis=0), points.max(axis=0)
-    wide = ROOM_SHARE * float(np.linalg.norm(view.position_m - view.target_m))
+    wide = min(ROOM_SHARE * float(np.linalg.norm(view.position_m - view.target_m)), 0.5 * FARTHEST_DRAWN_M)
     middle = 0.5 * (low + high)
     table = np.array([middle[0], middle[1], low[2] - 0.5 * THICK_M])
     away = view.target_m - view.position_m

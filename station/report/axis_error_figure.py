@@ -10,6 +10,7 @@ import numpy as np
 
 from station.experiments import Cell, NoiseLevel, Sweep
 from station.experiments.bounds import cell_bounds, median_error
+from station.fit.parallel import products_in_one_thread
 from station.logs import FloatArray
 from station.report.style import LIGHT, WIDTH_IN, styled
 from station.report.sweep_levels import conditions, label_levels, method_colour, rows_of, shifts
@@ -77,12 +78,13 @@ def axis_types(sweep: Sweep) -> list[str]:
 def bounds_by_type(sweep: Sweep) -> Bounds:
     """Covariances (2, 2) of the axes at the bound [rad^2], by type, noise level and inflation."""
     found: dict[tuple[str, NoiseLevel, int], list[FloatArray]] = defaultdict(list)
-    for cell in _distinct(sweep):
-        tree = sweep.grid.tree(cell.tree)
-        types = {joint.name: joint.type for joint in tree.movable}
-        for bound in cell_bounds(cell, tree):
-            if bound.axis.size:
-                found[types[bound.joint], cell.noise, cell.options.inflation].append(bound.axis)
+    with products_in_one_thread():  # of matrices so small that more threads only wait for each other
+        for cell in _distinct(sweep):
+            tree = sweep.grid.tree(cell.tree)
+            types = {joint.name: joint.type for joint in tree.movable}
+            for bound in cell_bounds(cell, tree):
+                if bound.axis.size:
+                    found[types[bound.joint], cell.noise, cell.options.inflation].append(bound.axis)
     return found
 
 

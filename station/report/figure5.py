@@ -45,9 +45,14 @@ FIGURES: dict[str, Callable[[Sweep], Figure]] = {
 def write_figure5(sweep: Sweep, folder: Path) -> tuple[Path, ...]:
     """Write figure5.png and .svg, then structure, types and axes likewise; returns the files.
 
+    Args:
+        sweep: done or under way.
+        folder: made if it isn't there.
+
     Raises:
         InvalidData: if the sweep has no rows yet.
     """
+    folder.mkdir(parents=True, exist_ok=True)
     written: list[Path] = []
     for name, draw in {"figure5": figure5, **FIGURES}.items():
         figure = draw(sweep)

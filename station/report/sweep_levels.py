@@ -64,6 +64,11 @@ def label_levels(axes: Axes, levels: Sequence[NoiseLevel]) -> None:
 
 def conditions(sweep: Sweep) -> str:
     """One line of what all fits share."""
-    grid, trees = sweep.grid, ", ".join(named.name for named in sweep.grid.trees)
-    noise = f"{grid.noise_model} noise"
-    return f"{trees}; {grid.options.frames} frames, {grid.options.motion}, {grid.options.root} root, {noise}"
+    grid, options = sweep.grid, sweep.grid.options
+    trees = ", ".join(named.name for named in grid.trees)
+    told = [f"{options.frames} frames", options.motion, f"{options.root} root", f"{grid.noise_model} noise"]
+    told += ["known to the fit"] if options.known_noise else []
+    told += ["planar"] if options.planar else []
+    told += [f"{100 * options.outliers:g} % outliers"] if options.outliers else []
+    told += [f"{100 * options.missing:g} % not seen"] if options.missing else []
+    return f"{trees}; {', '.join(told)}"

@@ -57,7 +57,7 @@ def types_figure(sweep: Sweep) -> Figure:
         figure.text(0.57, 1 - 0.12 / height_in, "what joints of a true type (row) were taken for (column) [%]",
                     ha="center", va="top", weight="bold")  # fmt: skip
         inflation = ", ".join(str(each) for each in grid.inflation)
-        text = f"{conditions(sweep)}; inflation {inflation} together"
+        text = f"{conditions(sweep)}; inflation {inflation}{' together' if len(grid.inflation) > 1 else ''}"
         figure.text(0.985, 0.06 / height_in, text, ha="right", va="bottom", fontsize=7.5)
         return figure
 

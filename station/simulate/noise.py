@@ -164,7 +164,7 @@ def check_magnitude(value: object, what: str, unit: str) -> None:
         raise InvalidData(f"{what} is {value!r}; want a number of {unit}, 0 or more")
     if not math.isfinite(value) or value < 0:
         raise InvalidData(f"{what} is {float(value):g} {unit}; want a finite number, 0 or more")
-    if value > MOST:
+    if float(value) > MOST:
         raise InvalidData(f"{what} is {float(value):g} {unit}; want {MOST:g} at most")
 
 

@@ -11,6 +11,7 @@ from station.builder.draft import Draft, blank
 from station.builder.edits import add_part, set_limits, set_type
 from station.builder.marking import add_marker, mark_all, set_block
 from station.builder.placing import set_axis, set_zero
+from station.builder.rig_text import Table, servo_tables, written
 from station.builder.rig_truth import tracked_tree
 from station.builder.rigs import to_rig, write_rig
 from station.errors import InvalidData, InvalidFile
@@ -32,6 +33,13 @@ def askew() -> Draft:
     draft = set_zero(draft, "bracket", (0.1, 0.0, 0.3), (0.4, 0.1, -0.2))
     draft = set_axis(add_part(draft, "lamp", "bracket"), "lamp_joint", (1, 1, 0), (0.02, 0, 0.1))
     return set_limits(draft, "lamp_joint", 0.1, 0.9)
+
+
+# What a rig has beside its joints, as short as may be.
+REST = (
+    Table("camera", {"source": 0, "size_px": [640, 480], "fps": 30}),
+    Table("markers", {"dictionary": "DICT_4X4_50", "marker": [{"id": 0, "part": "seat", "size_mm": 50.0}]}),
+)
 
 
 def rig_of(draft: Draft, *, servos: bool = True) -> RigTable:
@@ -78,6 +86,15 @@ def test_limits_are_taken_over_and_lie_within_a_turn_of_the_servo():
         assert limits.lower <= limits.park <= limits.upper
         counts = [servo.servos[0].count(q) for q in (joint.limits[0], joint.limits[1], limits.park)]
         assert min(counts) >= 0 and max(counts) < 4096
+
+
+@pytest.mark.parametrize(("low", "high"), [(0.0, 1e-8), (-600.0, 600.0), (1.0, 2.0), (-2.0, -1.0)])
+def test_limits_of_any_size_lie_within_a_turn_of_the_servo(low: float, high: float):
+    joints = set_limits(swivel_chair(), "swivel", low, high).tree.movable
+    text = written([Table("", {"schema": "rig/1"}), *servo_tables(joints), *REST])
+    servo = joint_configs(parse_rig(text.replace('"emulated"', '"/dev/ttyUSB0"'), "rig.toml"))[1].servos[0]
+    counts = [servo.count(q) for q in (low, high, 0.0)]
+    assert min(counts) >= 0 and max(counts) < 4096
 
 
 def test_a_rig_without_servos_is_moved_by_hand_within_the_drawn_limits():
