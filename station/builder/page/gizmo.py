@@ -75,7 +75,7 @@ class Gizmo:
             self._drags, self._dragging = self._drags + 1, True
         elif event.phase == "end":
             self._dragging = False
-        self._page.act(event, self._moved)
+        self._page.act(event, self._moved, goes_on=self._dragging)
 
     def _moved(self, event: Any) -> None:
         try:

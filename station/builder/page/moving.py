@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from viser import GuiSliderHandle
 
 # That the field beside a slider shows, of degrees or mm.
-DECIMALS = 2
+DECIMALS = 1
 REST, ENDS = "All at rest", ("Lower ends", "Upper ends")
 
 

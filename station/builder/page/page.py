@@ -79,8 +79,14 @@ class Page:
 
         return act
 
-    def act(self, event: Any, action: Action) -> None:
-        """Do it now; see `acting`."""
+    def act(self, event: Any, action: Action, *, goes_on: bool = False) -> None:
+        """Do it now; see `acting`.
+
+        Args:
+            event: of viser.
+            action: to be done.
+            goes_on: whether more of the same follows at once, as in a drag: then nothing is put aside yet.
+        """
         before = self.desk
         try:
             action(event)
@@ -90,7 +96,7 @@ class Page:
             self.desk = before
             logging.getLogger(__name__).exception("the tree builder's page")
             self.tell(event.client, "A defect of the builder: nothing has changed", repr(error), bad=True)
-        if self.desk.draft is not before.draft:
+        if self.desk.draft is not before.draft and not goes_on:
             self.put_aside()
         self.refresh()
 

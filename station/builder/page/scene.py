@@ -117,8 +117,9 @@ class Scene:
         for part in draft.parts:
             nodes += self._part(draft, part, picture)
         nodes += [self._marker(draft, marker) for marker in draft.markers]
+        poses = draft.poses(picture.states)
         for joint in draft.joints:
-            lines = joint_glyph(draft, joint.name, picture.states).lines
+            lines = joint_glyph(draft, joint.name, picture.states, poses).lines
             nodes += [self._line(f"{TREE}/joints/{joint.name}/{k}", line) for k, line in enumerate(lines)]
         nodes += [self._line(f"{TREE}/found/{k}", line) for k, line in enumerate(picture.found)]
         if picture.measured:
@@ -220,7 +221,7 @@ def bounds(draft: Draft, states: Mapping[str, float]) -> tuple[FloatArray, Float
             T = poses[part] @ block.T_part_block
             points.append((corners * block.size_m) @ T[:3, :3].T + T[:3, 3])
     for joint in draft.joints:
-        points += [line.points_m for line in joint_glyph(draft, joint.name, states).lines]
+        points += [line.points_m for line in joint_glyph(draft, joint.name, states, poses).lines]
     every = np.concatenate(points)
     return every.min(axis=0), every.max(axis=0)
 
