@@ -25,6 +25,9 @@ IntArray = NDArray[np.intp]
 Told = TypeVar("Told")
 Result = TypeVar("Result")
 
+# Frames of all pairs that are fitted as one: more than in a piece, as calls on short arrays cost more than the cache.
+MOST_FRAMES = 2 * FRAMES_AT_ONCE
+
 # What asks questions, each answered before the next, and ends with a result.
 Asking = Generator["Question[Any]", Any, Result]
 
@@ -162,12 +165,13 @@ def _answers(questions: Sequence[Question[Any]]) -> list[list[Any]]:
 
 
 def _packs(work: Sequence[_Piece]) -> list[list[_Piece]]:
-    """Pieces of one kind together, in order, as long as they are no more than FRAMES_AT_ONCE."""
+    """Pieces of one kind together, in order, up to MOST_FRAMES; those of one question apart, for cores to share."""
     packs: list[list[_Piece]] = []
     last: dict[Hashable, list[_Piece]] = {}
     for piece in work:
-        pack = last.get(piece.question.kind)
-        if pack is None or sum(other.size for other in pack) + piece.size > FRAMES_AT_ONCE:
+        pack = last.get(piece.question.kind, [])
+        apart = not pack or pack[-1].number == piece.number
+        if apart or sum(other.size for other in pack) + piece.size > MOST_FRAMES:
             pack = list[_Piece]()
             last[piece.question.kind] = pack
             packs.append(pack)
