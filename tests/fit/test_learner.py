@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from simulated import Truth, noisy_log, poses, simulated_tree
+from simulated import Truth, noisy_log, poses, scores, simulated_tree
 
 from station.errors import InvalidData
 from station.fit.learner import Fit, FitOptions, learn
@@ -16,20 +16,9 @@ TREES = 20
 LEAST_RIGHT = 0.95
 
 
-def groups_of(log: PoseLog, fit: Fit) -> set[frozenset[str]]:
-    grouped = {part for group in fit.tree.rigid_groups for part in group}
-    return {frozenset(group) for group in fit.tree.rigid_groups} | {
-        frozenset([p]) for p in log.parts if p not in grouped
-    }
-
-
 def is_right(truth: Truth, log: PoseLog, fit: Fit) -> bool:
-    """Groups, joints between the right bodies, and their types."""
-    body = dict(zip(log.parts, truth.body_of, strict=True))
-    groups = {frozenset(p for p in log.parts if body[p] == b) for b in set(truth.body_of)}
-    wanted = {(frozenset(joint[:2]), joint[2]) for joint in truth.joints}
-    found = {(frozenset((body[j.parent], body[j.child])), j.type) for j in fit.tree.joints}
-    return groups_of(log, fit) == groups and found == wanted
+    """Bodies, joints between them, and their types."""
+    return scores(truth, log, fit.tree).types_correct
 
 
 def matched(truth: Truth, log: PoseLog, fit: Fit) -> list[tuple[int, Joint]]:

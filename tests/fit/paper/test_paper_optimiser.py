@@ -60,7 +60,8 @@ def test_a_slide_ends_no_worse_than_by_bfgs(seed: int) -> None:
     """
     ours, theirs, x = both_ends(seed, 1)
     assert np.all(totals(ours, x) <= totals(theirs, x) * (1 + 1e-8))  # what is left along the valley
-    assert np.all(totals(ours, x) <= totals(ours.twin, x))
+    twin = ours.twin
+    assert twin is not None and np.all(totals(ours, x) <= totals(twin, x))
     lever_m, lever_of_bfgs_m = (
         np.abs(np.sum(joint.arrays[0][:, :3, 3] * joint.arrays[1], axis=-1)) for joint in (ours, theirs)
     )
