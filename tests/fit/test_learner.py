@@ -8,9 +8,11 @@ from simulated import Truth, noisy_log, poses, scores, simulated_tree
 
 from station.errors import InvalidData
 from station.fit.learner import Fit, FitOptions, learn
+from station.formats.trees import load_tree
 from station.kinematics import se3
 from station.kinematics.tree import Joint
 from station.logs import PoseLog
+from station.simulate import SimulationOptions, simulate
 
 TREES = 20
 LEAST_RIGHT = 0.95
@@ -205,6 +207,12 @@ def test_a_joint_that_hardly_moved_is_warned_about() -> None:
     fit = learn(PoseLog(t, "world", ("flap",), (exact @ poses(noise[:, 3:], noise[:, :3]))[:, None]))
     assert fit.tree.joints[0].type == "revolute"
     assert any("moved only 5" in warning and "its axis is not identifiable" in warning for warning in fit.tree.warnings)
+
+
+@pytest.mark.parametrize("flat", [True, False])
+def test_poses_of_a_tracker_in_2d_are_warned_about(flat: bool) -> None:
+    made = simulate(load_tree("planar_linkage"), SimulationOptions(planar=True, planar_noise=flat), seed=1)
+    assert any("tracker in 2D" in warning for warning in learn(made.log).tree.warnings) == flat
 
 
 def test_a_part_that_was_hardly_seen_stays_out_and_is_named() -> None:
