@@ -25,6 +25,8 @@ IntArray = NDArray[np.intp]
 LEAST_SCENE_M = 0.1
 # Relative to the largest entry: rounding in whatever made the covariance.
 SYMMETRIC_WITHIN = 1e-6
+# Relative poses that are looked at at once, some 0.5 kB each.
+POSES_AT_ONCE = 50_000
 # Rows of covariances that are checked at once.
 ROWS_AT_ONCE = 1000
 
@@ -159,12 +161,19 @@ def counted_tracks(bodies: Bodies, pairs: IntArray, *, at_most: int | None = Non
         at_most: frames to keep of each pair, spread evenly over those that count; None for all, of which those that
             don't count are taken for unseen.
     """
-    all_frames = np.arange(len(bodies.seen))[None]
-    counted = frames_to_count(*_relative_poses(bodies, pairs, all_frames))
-    rows = all_frames if at_most is None else _spread_rows(counted, at_most)
+    counted = _counted(bodies, pairs)
+    rows = np.arange(len(bodies.seen))[None] if at_most is None else _spread_rows(counted, at_most)
     tracks = pair_tracks(bodies, pairs, rows=rows)
     kept = np.take_along_axis(counted, np.broadcast_to(rows, tracks.seen.shape), axis=-1)
     return replace(tracks, seen=tracks.seen & kept, oriented=tracks.oriented & kept)
+
+
+def _counted(bodies: Bodies, pairs: IntArray) -> BoolArray:
+    """(P, T) frames that count of pairs (P, 2)."""
+    rows = np.arange(len(bodies.seen))[None]
+    at_once = max(POSES_AT_ONCE // max(len(bodies.seen), 1), 1)
+    some = [pairs[first : first + at_once] for first in range(0, max(len(pairs), 1), at_once)]  # memory asks for pieces
+    return np.concatenate([frames_to_count(*_relative_poses(bodies, piece, rows)) for piece in some])
 
 
 def _relative_poses(bodies: Bodies, pairs: IntArray, rows: IntArray) -> tuple[FloatArray, BoolArray]:
