@@ -171,6 +171,10 @@ def test_it_is_played_downloaded_and_uploaded_and_a_long_fit_is_cancelled(browse
     with Tab(browser, builder.address) as tab:
         tab.click("Add")
         tab.sees("part · part_joint, revolute")
+        tab.page.get_by_text("Markers", exact=True).first.click()
+        tab.click("Mark all parts")
+        tab.sees("places are sought in which a camera sees the markers")
+        tab.sees("Last: mark all parts.")
         drawn = to_text(builder.draft)
         tab.opens("Try")
         tab.click("Play")

@@ -172,6 +172,22 @@ def _slider(joint: Joint, column: str) -> Slider:
     return Slider(column, joint.name, f"{column} [{unit}]", unit, low, high, (high - low) / SLIDER_STEPS, per_unit)
 
 
+def bounds(draft: Draft, states: Mapping[str, float]) -> tuple[FloatArray, FloatArray]:
+    """The least and the greatest coordinates (3,) [m] of a draft's boxes and joints, in its root's frame."""
+    corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) / 2
+    points: list[FloatArray] = []
+    poses = draft.poses(states)
+    for part in draft.parts:
+        points.append(poses[part][None, :3, 3])
+        for block in part_blocks(draft, part):
+            T = poses[part] @ block.T_part_block
+            points.append((corners * block.size_m) @ T[:3, :3].T + T[:3, 3])
+    for joint in draft.joints:
+        points += [line.points_m for line in joint_glyph(draft, joint.name, states, poses).lines]
+    every = np.concatenate(points)
+    return every.min(axis=0), every.max(axis=0)
+
+
 def _anchor(joint: Joint) -> FloatArray:
     """(3,) in the parent's frame: the point of the axis nearest the child's zero place, of a slide its lower end."""
     zero = joint.T_parent_child_zero[:3, 3]

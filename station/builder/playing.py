@@ -20,6 +20,7 @@ from station.simulate import (
     walk_root,
     walk_states,
 )
+from station.simulate.placing import layout
 
 # A camera 1 m in front of where the root began, its x to the right and its y down.
 T_CAMERA_START = se3.inverse(look_at(np.array([0.0, -1.0, 0.4]), np.array([0.0, 0.0, 0.2])))
@@ -106,15 +107,25 @@ class Play:
         return place_objects(self.draft.tree, self.T_start_root, self.q)
 
     @property
+    def trackers(self) -> dict[str, FloatArray]:
+        """(4, 4) pose of each tracker there: the parts, and the virtual trackers near each, at one place in a play."""
+        what = layout(self.draft.tree, self.settings.inflation)
+        u = np.random.default_rng([self.settings.seed, 0, 2]).uniform(-1.0, 1.0, (1, len(what.loose), 6))
+        T_body_part = what.mounted(u, self.settings.options().nearby_m, planar=False)[0]
+        truth = self.truth
+        bodies = np.stack([truth[body] for body in what.tree.bodies])
+        return dict(zip(what.tree.parts, bodies[what.body] @ T_body_part, strict=True))
+
+    @property
     def measured(self) -> dict[str, FloatArray]:
-        """The same as a tracker would report it, each part with noise of its own.
+        """The same as a tracker would report it, each with noise of its own.
 
         Noise of a camera is that of one at T_CAMERA_START.
         """
-        parts, noise = self.truth, self.settings.noise_model()
+        trackers, noise = self.trackers, self.settings.noise_model()
         T_ref_start = T_CAMERA_START if noise.reference == "camera" else np.eye(4)
-        seen = noise.perturbed(T_ref_start @ np.stack(list(parts.values())), self._rng(1))
-        return dict(zip(parts, se3.inverse(T_ref_start) @ seen, strict=True))
+        seen = noise.perturbed(T_ref_start @ np.stack(list(trackers.values())), self._rng(1))
+        return dict(zip(trackers, se3.inverse(T_ref_start) @ seen, strict=True))
 
     def stepped(self) -> Play:
         """The next frame: lines 6 to 9 of Algorithm 2."""

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from station.cli.app import app
-from station.cli.options import Json, Out
+from station.cli.options import Json
 from station.cli.show import progress, say_next, table, warn
 
 if TYPE_CHECKING:
@@ -24,7 +24,12 @@ SOME_ERRORS = 3
 
 @app.command()
 def sweep(
-    out: Out,
+    out: Annotated[
+        Path,
+        typer.Option(
+            "--out", help="Folder for the result: new, empty, or a sweep's, which is gone on with.", show_default=False
+        ),
+    ],
     quick: Annotated[bool, typer.Option("--quick", help="Few fits: one repeat, inflation 0 and 1.")] = False,
     trees: Annotated[
         list[str] | None,

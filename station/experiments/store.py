@@ -121,7 +121,7 @@ class Store:
         try:
             folder.mkdir(parents=True, exist_ok=True)
             store._lock()
-            if begun and not force:
+            if begun and not force and (folder / ROWS_FILE).stat().st_size:
                 store._take_up()
             else:
                 store._clear()

@@ -222,15 +222,13 @@ def scaled_by_part(bodies: Bodies, variances: FloatArray) -> Bodies:
         bodies: one for each part.
         variances: (K, 1) factors of given covariances, or (K, 2) variances of position [m^2] and orientation [rad^2].
     """
-    least = LEAST_ESTIMATED_SCALE
     if bodies.covariance is not None:
         factors = np.where(bodies.noisy, variances[:, 0], 0.0)
         covariance = bodies.covariance * factors[:, None, None]
-        least = bodies.least_scale / max(float(factors.max()), 1.0)  # of what was given
     else:
         diagonal = np.where(bodies.noisy[:, None], np.repeat(variances, 3, axis=-1), 0.0)
         covariance = np.broadcast_to(diagonal[:, None, :] * np.eye(6), (*bodies.seen.shape, 6, 6))
-    return replace(bodies, covariance=covariance, least_scale=least)
+    return replace(bodies, covariance=covariance, least_scale=LEAST_ESTIMATED_SCALE)
 
 
 @dataclass(frozen=True, eq=False)

@@ -25,9 +25,8 @@ BoolArray = NDArray[np.bool_]
 ROUNDING = 1e-6
 # Given covariances are formal: real errors are at least as large.
 LEAST_GIVEN_SCALE = 1.0
-# Estimated covariances err to both sides, the more so where one part is much noisier than its neighbours. But parts at
-# rest repeat their errors: how little these differ from frame to frame is no bound of how large they are.
-LEAST_ESTIMATED_SCALE = 0.1
+# Estimated covariances err to both sides; this only keeps an exact fit from dividing by zero.
+LEAST_ESTIMATED_SCALE = 1e-4
 # Probability of being no outlier above which a frame counts as an inlier.
 INLIER_ABOVE = 0.5
 # Correlations below this many of their own standard deviations are taken for none.

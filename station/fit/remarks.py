@@ -9,6 +9,7 @@ import numpy as np
 
 from station.fit.comparison import MIN_FRAMES
 from station.fit.excitation import motion_share
+from station.fit.noise import ROUNDING
 from station.fit.reading import JointReading
 from station.kinematics.joints import JOINT_TYPES
 from station.kinematics.tree import Joint
@@ -46,6 +47,7 @@ def remarks(
     for joint, reading in zip(joints, readings, strict=True):
         found += [*_motion(joint), *_of_type(joint, reading), *_runner_up(joint)]
     found += _many_outliers(joints)
+    found += _in_a_plane(joints)
     for joint, a, b, odds in doubts:
         found.append(
             f"{joint.name} may as well connect {a} and {b}, which move along the same line as {joint.parent} and "
@@ -99,6 +101,24 @@ def _many_outliers(joints: Sequence[Joint]) -> list[str]:
         f"many frames are outliers ({told}): if the poses are good, a motion is left unexplained and the tree may be "
         "wrong; move one joint at a time, each for about as long"
     ]
+
+
+def _in_a_plane(joints: Sequence[Joint]) -> list[str]:
+    """Whether a hinge explains all errors of orientation, as where a tracker in 2D errs about one axis only."""
+    turned = [joint for joint in joints if joint.type == "revolute" and joint.rms_rotation_rad is not None]
+    flat = [joint.name for joint in turned if _is_flat(joint.rms_rotation_rad, joint.rms_translation_m)]
+    if not flat:
+        return []
+    return [
+        f"positions of {', '.join(flat)} have noise and orientations none about other axes than its own: poses of a "
+        "tracker in 2D? a fit takes noise for alike in all directions; compare with --method paper"
+    ]
+
+
+def _is_flat(rotation_rad: float | None, translation_m: float | None) -> bool:
+    if rotation_rad is None or translation_m is None:
+        return False
+    return 0 < rotation_rad < ROUNDING < translation_m
 
 
 def _place(joint: Joint, what: str) -> list[str]:

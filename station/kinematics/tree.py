@@ -273,4 +273,17 @@ def _check_connected(tree: KinematicTree, names: tuple[str, ...]) -> None:
     reached = {roots[0], *(joint.child for joint in tree.outward(roots[0]))}
     if reached != set(names):
         apart = [name for name in names if name not in reached]
-        raise InvalidData(f"no joint connects {', '.join(apart)} to {roots[0]}; want a tree each, or a joint")
+        loop = " > ".join(_loop(tree, apart[0]))
+        raise InvalidData(
+            f"no joint connects {', '.join(apart)} to {roots[0]}: they hang in a loop, {loop}; want a tree"
+        )
+
+
+def _loop(tree: KinematicTree, body: str) -> list[str]:
+    """Bodies of a loop, each the child of the one before, the first again as the last; above a body without a root."""
+    parent_of = {joint.child: joint.parent for joint in tree.joints}
+    above = [body]
+    while parent_of[above[-1]] not in above:
+        above.append(parent_of[above[-1]])
+    again = parent_of[above[-1]]
+    return [again, *reversed(above[above.index(again) :])]

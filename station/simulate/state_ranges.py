@@ -85,7 +85,7 @@ def _range(joint: Joint) -> tuple[float, float]:
     else:
         raise InvalidData(
             f"joint '{joint.name}' ({joint.type}) has no limits: how far may it move?\n"
-            'give it "limits": {"min": 0.0, "max": 0.3}, in m'
+            'give it "limits": {"min": 0.0, "max": 0.3}, in m; in a URDF <limit lower="0" upper="0.3"/>'
         )
     if ball and found[0] < 0:
         raise InvalidData(

@@ -18,11 +18,10 @@ from station.fit.learner import learn
 from station.fit.paper import PaperSteps, Weights, learn_paper, unsmoothed, weighted_cost
 from station.fit.result import Fit
 from station.formats.tracks import parse_track
-from station.kinematics.tree import Joint
 from station.logs import PoseLog
 from tests.benchmarks import paper_corrections as corrections
 from tests.benchmarks.arguments import each, parser, trials_of
-from tests.fit.simulated import Truth, noisy_log, simulated_tree
+from tests.fit.simulated import noisy_log, scores, simulated_tree
 from tests.fit.test_real_tracks import FOLDER, TYPES
 
 # Noise per axis of each tracker's pose; 0.5 deg of rotation for each millimetre.
@@ -66,39 +65,10 @@ def outcome(job: tuple[int, int, int, float, str]) -> Outcome:
     log = noisy_log(rng, truth, sigma_m=sigma_m, sigma_rad=np.radians(DEG_PER_MM * sigma_m * 1e3))
     begin = time.process_time()
     fit = fit_by(method, log, sigma_m)
-    return Outcome(is_right(truth, log, fit), axis_errors(truth, log, fit), time.process_time() - begin)
-
-
-def is_right(truth: Truth, log: PoseLog, fit: Fit) -> bool:
-    """Bodies, joints between them, and their types."""
-    body = dict(zip(log.parts, truth.body_of, strict=True))
-    grouped = {part for group in fit.tree.rigid_groups for part in group}
-    groups = [frozenset(group) for group in fit.tree.rigid_groups] + [frozenset([p]) for p in set(body) - grouped]
-    wanted = {frozenset(p for p in log.parts if body[p] == b) for b in set(truth.body_of)}
-    joints = {(frozenset((body[j.parent], body[j.child])), j.type) for j in fit.tree.joints}
-    return set(groups) == wanted and joints == {(frozenset(joint[:2]), joint[2]) for joint in truth.joints}
-
-
-def axis_errors(truth: Truth, log: PoseLog, fit: Fit) -> dict[int, float]:
-    """Of each true joint that a fitted one of its type stands for, in the frame of that one's parent part."""
-    part_body = dict(zip(log.parts, truth.body_of, strict=True))
-    found: dict[int, float] = {}
-    for joint in fit.tree.joints:
-        ends = frozenset((part_body[joint.parent], part_body[joint.child]))
-        for i, (parent, child, kind) in enumerate(truth.joints):
-            if ends == {parent, child} and kind == joint.type:
-                found[i] = axis_error_deg(truth, log, i, joint)
-    return found
-
-
-def axis_error_deg(truth: Truth, log: PoseLog, i: int, joint: Joint) -> float:
-    """Angle between a fitted axis and that of the true joint i."""
-    part = log.parts.index(joint.parent)
-    at_first = truth.T_world_body[0]
-    axis_world = at_first[truth.joints[i][0], :3, :3] @ truth.axis_parent_body[i]
-    axis = (at_first[truth.body_of[part]] @ truth.T_body_part[part])[:3, :3].T @ axis_world
-    assert joint.axis_parent is not None
-    return corrections.angle_deg(axis, joint.axis_parent)
+    cpu_s = time.process_time() - begin
+    found = scores(truth, log, fit.tree)
+    off = {i: joint.axis_error_rad for i, joint in enumerate(found.joints)}
+    return Outcome(found.types_correct, {i: np.degrees(rad) for i, rad in off.items() if rad is not None}, cpu_s)
 
 
 @dataclass(frozen=True, eq=False)

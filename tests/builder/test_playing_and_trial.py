@@ -59,6 +59,18 @@ def test_what_a_tracker_sees_is_off_by_the_noise_and_by_nothing_without_it():
     assert quiet.states == play.states
 
 
+def test_virtual_trackers_are_played_too_and_stay_rigid_on_their_parts():
+    quiet = TrialSettings(inflation=2, noise_translation_m=0.0, noise_rotation_rad=0.0)
+    play = start_play(door(), quiet)
+    assert set(play.measured) == {f"{part}{ending}" for part in door().parts for ending in ("", "_v1", "_v2")}
+    later = play.stepped().stepped()
+    for part in door().parts:
+        mounts = [se3.inverse(at.measured[part]) @ at.measured[f"{part}_v2"] for at in (play, later)]
+        np.testing.assert_allclose(mounts[0], mounts[1], atol=1e-9)
+        assert np.linalg.norm(mounts[0][:3, 3]) > 1e-3  # m: beside the part
+        assert np.any(play.measured[part] != later.measured[part])
+
+
 def test_a_static_root_stays_where_it_is_and_a_moving_one_does_not():
     still = start_play(door(), TrialSettings(root="static")).stepped().stepped()
     np.testing.assert_array_equal(still.truth["frame"], np.eye(4))

@@ -98,6 +98,13 @@ def test_another_grid_is_refused_and_changes_nothing(tmp_path: Path):
     assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == before
 
 
+def test_a_sweep_that_has_no_rows_yet_gives_way_to_another_grid(tmp_path: Path):
+    begun(tmp_path, count=0)
+    with Store.open(tmp_path, replace(GRID, seed=1)) as store:
+        assert len(store.missing()) == len(GRID)
+    assert read_sweep(tmp_path).grid.seed == 1
+
+
 def test_a_grid_with_more_of_everything_goes_on_with_what_is_done(tmp_path: Path):
     begun(tmp_path)
     more = replace(GRID, repeats=3, noise=(*LEVELS, NoiseLevel(0.1, 0.2)))

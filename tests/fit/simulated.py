@@ -1,4 +1,6 @@
-"""Seeded articulated objects with trackers: truth and a noisy log, made from the definition of the joints alone."""
+"""Seeded articulated objects with trackers: truth and a noisy log, made from the definition of the joints alone; and
+how near a fit comes to the truth.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from station.kinematics import se3
+from station.kinematics.tree import Joint, KinematicTree
 from station.logs import FloatArray, PoseLog
+from station.tree_scores import TreeScores, score_tree
 
 FRAME_S = 1 / 30
 
@@ -135,3 +140,38 @@ def noisy_log(
         covariance[unseen] = np.nan
     parts = tuple(f"p{k}_b{body}" for k, body in enumerate(truth.body_of))
     return PoseLog(np.arange(T) * FRAME_S, "world", parts, measured, covariance)
+
+
+def scores(truth: Truth, log: PoseLog, found: KinematicTree) -> TreeScores:
+    """Of what was found in a log of the truth; joints in the order of the truth's."""
+    exact = truth.T_world_body[:, list(truth.body_of)] @ truth.T_body_part
+    return score_tree(found, true_tree(truth, log.parts), PoseLog(log.t_s, log.reference, log.parts, exact))
+
+
+def true_tree(truth: Truth, parts: tuple[str, ...]) -> KinematicTree:
+    """The truth as a tree of its trackers, each body named by the first of them."""
+    bodies = sorted(set(truth.body_of))
+    members = {b: tuple(p for p, of in zip(parts, truth.body_of, strict=True) if of == b) for b in bodies}
+    first = {b: names[0] for b, names in members.items()}
+    joints = tuple(_true_joint(truth, i, first) for i in range(len(truth.joints)))
+    groups = tuple(group for group in members.values() if len(group) > 1)
+    return KinematicTree(first[0], parts, groups, (tuple(first.values()),), joints)
+
+
+def _true_joint(truth: Truth, i: int, name: dict[int, str]) -> Joint:
+    """Between the first trackers of its bodies; its states begin at 0."""
+    parent, child, kind = truth.joints[i]
+    T_parent, T_child = (truth.T_body_part[truth.body_of.index(body)] for body in (parent, child))
+    T_part_body = se3.inverse(T_parent)
+    first = int(np.argmin(truth.q[:, i]))
+    T_zero = se3.inverse(truth.T_world_body[first, parent]) @ truth.T_world_body[first, child]
+    point = T_part_body[:3, :3] @ truth.point_parent_body[i] + T_part_body[:3, 3]
+    return Joint(
+        name=f"joint{i}",
+        type=kind,
+        parent=name[parent],
+        child=name[child],
+        axis_parent=T_part_body[:3, :3] @ truth.axis_parent_body[i],
+        point_parent_m=point if kind == "revolute" else None,
+        T_parent_child_zero=T_part_body @ T_zero @ T_child,
+    )

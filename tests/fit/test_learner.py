@@ -4,32 +4,23 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from simulated import Truth, noisy_log, poses, simulated_tree
+from simulated import Truth, noisy_log, poses, scores, simulated_tree
 
 from station.errors import InvalidData
 from station.fit.learner import Fit, FitOptions, learn
+from station.formats.trees import load_tree
 from station.kinematics import se3
 from station.kinematics.tree import Joint
 from station.logs import PoseLog
+from station.simulate import SimulationOptions, simulate
 
 TREES = 20
 LEAST_RIGHT = 0.95
 
 
-def groups_of(log: PoseLog, fit: Fit) -> set[frozenset[str]]:
-    grouped = {part for group in fit.tree.rigid_groups for part in group}
-    return {frozenset(group) for group in fit.tree.rigid_groups} | {
-        frozenset([p]) for p in log.parts if p not in grouped
-    }
-
-
 def is_right(truth: Truth, log: PoseLog, fit: Fit) -> bool:
-    """Groups, joints between the right bodies, and their types."""
-    body = dict(zip(log.parts, truth.body_of, strict=True))
-    groups = {frozenset(p for p in log.parts if body[p] == b) for b in set(truth.body_of)}
-    wanted = {(frozenset(joint[:2]), joint[2]) for joint in truth.joints}
-    found = {(frozenset((body[j.parent], body[j.child])), j.type) for j in fit.tree.joints}
-    return groups_of(log, fit) == groups and found == wanted
+    """Bodies, joints between them, and their types."""
+    return scores(truth, log, fit.tree).types_correct
 
 
 def matched(truth: Truth, log: PoseLog, fit: Fit) -> list[tuple[int, Joint]]:
@@ -216,6 +207,12 @@ def test_a_joint_that_hardly_moved_is_warned_about() -> None:
     fit = learn(PoseLog(t, "world", ("flap",), (exact @ poses(noise[:, 3:], noise[:, :3]))[:, None]))
     assert fit.tree.joints[0].type == "revolute"
     assert any("moved only 5" in warning and "its axis is not identifiable" in warning for warning in fit.tree.warnings)
+
+
+@pytest.mark.parametrize("flat", [True, False])
+def test_poses_of_a_tracker_in_2d_are_warned_about(flat: bool) -> None:
+    made = simulate(load_tree("planar_linkage"), SimulationOptions(planar=True, planar_noise=flat), seed=1)
+    assert any("tracker in 2D" in warning for warning in learn(made.log).tree.warnings) == flat
 
 
 def test_a_part_that_was_hardly_seen_stays_out_and_is_named() -> None:

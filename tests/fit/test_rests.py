@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from station.fit.asking import answered
-from station.fit.bodies import bodies_of_log, scaled_by_part
+from station.fit.bodies import bodies_of_log
 from station.fit.comparison import compare_pairs
 from station.fit.learner import learn
 from station.fit.options import FitOptions
@@ -54,14 +54,6 @@ def test_a_joint_that_leaves_the_motion_out_is_no_better_an_edge_than_one_that_e
         table = answered(compare_pairs(bodies_of_log(log), pairs, options.joint_types, options.criterion))
         past_the_elbow, elbow = table.scores.misfit / table.counted
         assert past_the_elbow > elbow + 5  # -2 log likelihood of a frame; a pose tells some 60
-
-
-def test_what_differs_between_frames_at_rest_is_no_bound_of_the_noise_that_was_told() -> None:
-    rng = np.random.default_rng(182)
-    made = chain_that_rests(rng, bodies=3, frames=40, moving=0.5, trackers=1)
-    told = bodies_of_log(watch_resting(rng, made, STD_M, STD_RAD, by_pose=0.9))
-    assert scaled_by_part(told, np.full((3, 1), 4.0)).least_scale == 1 / 4
-    assert scaled_by_part(told, np.ones((3, 1))).least_scale == 1
 
 
 def test_frames_at_rest_count_as_many_as_those_in_motion() -> None:

@@ -102,7 +102,7 @@ def opened(tree: str | None) -> tuple[Draft, Path, bool]:
     return draft, path, is_drawn(path)
 
 
-def _furnished(page: Page) -> tuple[Player, Fitter]:
+def _furnished(page: Page) -> tuple[Page, Player, Fitter]:
     """Add the controls to a page, and show it; what is to be closed at the end."""
     gui = page.server.gui
     head = Head(page)
@@ -126,4 +126,4 @@ def _furnished(page: Page) -> tuple[Player, Fitter]:
     page.picture = seen
     page.look()
     page.refresh()
-    return player, fitter
+    return page, player, fitter

@@ -23,13 +23,19 @@ from station.builder.stored import load_draft, save_draft
 from station.errors import InvalidFile
 from station.formats.trees import example_names, load_tree
 
+
+def rig_text(draft: Draft) -> str:
+    """Text of a rig with a servo for each joint; seconds of work."""
+    return to_rig(draft).text
+
+
 NEW = "new: one part"
 OPEN, SAVE = "Open", "Save"
 DOWNLOADS: Mapping[str, tuple[str, Callable[[Draft], str]]] = {
     "kinematics.json": (".json", to_text),
     "URDF": (".urdf", to_urdf_text),
     "markers.toml": ("_markers.toml", markers_text),
-    "rig.toml": ("_rig.toml", lambda draft: to_rig(draft).text),
+    "rig.toml": ("_rig.toml", rig_text),
 }
 # No drawn tree's file is nearly as large, B.
 MOST_BYTES = 10_000_000
@@ -139,7 +145,14 @@ class Files:
     def _download(self, event: Any) -> None:
         draft = replace(self._page.draft, name=name_of(self._page.path.name))
         ending, make = DOWNLOADS[event.target.value]
-        event.client.send_file_download(draft.name + ending, make(draft).encode("utf-8"), save_immediately=True)
+
+        def send(text: str) -> None:
+            event.client.send_file_download(draft.name + ending, text.encode("utf-8"), save_immediately=True)
+
+        if make is not rig_text:
+            send(make(draft))
+            return
+        self._page.slowly(event, "markers and a camera are put in place", lambda: make(draft), send)
 
     def _ask(self, event: Any, question: str, yes: str, do: Callable[[], None]) -> None:
         """Do it if the person who asked for it says yes, in a window of that tab."""

@@ -27,7 +27,9 @@ def found_html(trial: Trial, *, is_older: bool) -> str:
     warnings = "".join(f"<p>{escape(warning)}</p>" for warning in trial.fit.tree.warnings)
     legend = f'<p style="color: {FAINT}">In the scene: red as drawn, pink as found.</p>'
     table = f'<table style="width: 100%; border-collapse: collapse"><tr>{head}</tr>{rows}</table>'
-    return f'<div style="{BOX}">{older}<p><b>{escape(trial.headline)}</b></p>{table}{warnings}{legend}</div>'
+    colour = "" if trial.scores.types_correct else f' style="color: {WRONG}"'
+    headline = f"<p{colour}><b>{escape(trial.headline)}</b></p>"
+    return f'<div style="{BOX}">{older}{headline}{table}{warnings}{legend}</div>'
 
 
 def _row(row: TrialRow) -> str:

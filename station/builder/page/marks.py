@@ -7,10 +7,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from station.builder import marking
+from station.builder.draft import Draft
 from station.builder.drawing import part_blocks
 from station.builder.page.controls import MM_PER_M, NumberField
 from station.builder.page.page import Page
 from station.builder.page.scene import rgb
+from station.errors import StationError
 
 if TYPE_CHECKING:
     from viser import GuiDropdownHandle
@@ -82,9 +84,18 @@ class Markers:
             page.edit(draft, f"add marker {draft.markers[-1].id}")
             self._select(draft.markers[-1].id)
         elif event.target.value == MARK_ALL:
-            page.edit(marking.mark_all(page.draft), "mark all parts")
+            self._mark_all(event, page.draft)
         elif self.selected is not None:
             page.edit(marking.delete_marker(page.draft, self.selected), f"delete marker {self.selected}")
+
+    def _mark_all(self, event: Any, draft: Draft) -> None:
+        def marked(found: Draft) -> None:
+            if self._page.draft is not draft:
+                raise StationError("the object was changed while places for markers were sought; mark all parts again")
+            self._page.edit(found, "mark all parts")
+
+        what = "places are sought in which a camera sees the markers"
+        self._page.slowly(event, what, lambda: marking.mark_all(draft), marked)
 
     def _set_part(self, event: Any) -> None:
         if self.selected is not None:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import asyncio
 import logging
 from collections.abc import Callable, Coroutine
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 from station.builder.desk import Desk
 from station.builder.draft import Draft
@@ -16,6 +18,7 @@ from station.errors import StationError
 if TYPE_CHECKING:
     from viser import ClientHandle, ViserServer
 
+T = TypeVar("T")
 Action = Callable[[Any], None]
 Callback = Callable[[Any], Coroutine[Any, Any, None]]
 # How long notifications stay, s.
@@ -57,6 +60,7 @@ class Page:
         self.playing = False
         self._shown: list[Shows] = []
         self.trouble_aside: str | None = None
+        self._slow = ThreadPoolExecutor(1, "the builder's slow work")
 
     @property
     def draft(self) -> Draft:
@@ -99,6 +103,27 @@ class Page:
         if self.desk.draft is not before.draft and not goes_on:
             self.put_aside()
         self.refresh()
+
+    def slowly(self, event: Any, what: str, work: Callable[[], T], then: Callable[[T], None]) -> None:
+        """Do what takes seconds beside the page, which goes on meanwhile and says what is awaited.
+
+        Args:
+            event: of viser.
+            what: is done, in words.
+            work: to be done in a thread of its own; it must change nothing.
+            then: what is done with its result, as by `act`.
+        """
+        wait = event.client.add_notification("Please wait", what, loading=True, with_close_button=False)
+
+        def done(future: asyncio.Future[T]) -> None:
+            wait.remove()
+            self.act(event, lambda _: then(future.result()))
+
+        asyncio.wrap_future(self._slow.submit(work)).add_done_callback(done)
+
+    def close(self) -> None:
+        """Wait for the end of slow work; from another thread than the event loop's."""
+        self._slow.shutdown(cancel_futures=True)
 
     def edit(self, draft: Draft, what: str, gesture: str | None = None) -> None:
         """Put the result of an edit on the desk, and keep the selection on something that is there."""

@@ -46,6 +46,8 @@ class Parts:
             name = edits.unused_name(page.draft)
             page.edit(edits.add_part(page.draft, name, part), f"add {name}")
             page.select(name)
+            if not page.scene.has_in_view(page.draft, page.desk.states):
+                page.look()
         elif what == ROOT:
             page.edit(edits.set_root(page.draft, part), f"make {part} the root")
         else:

@@ -10,7 +10,7 @@ import numpy as np
 
 from calibration.boards import marker_cells
 from station.builder.draft import Block, Draft
-from station.builder.drawing import Line, joint_glyph, part_blocks, part_poses
+from station.builder.drawing import Line, bounds, joint_glyph, part_blocks, part_poses
 from station.builder.page.nodes import Nodes, Wanted
 from station.kinematics import se3
 from station.logs import FloatArray
@@ -29,6 +29,8 @@ UP = np.array([0.0, 0.0, 1.0])
 VIEW_FROM = np.array([1.0, -1.6, 0.9]) / np.linalg.norm([1.0, -1.6, 0.9])
 OPENING_RAD = np.radians(40.0)
 DISTANCE_RADII = 3.2
+# So far from the middle of what the cameras were turned to, in its radii, there still is room in the picture.
+VIEWED_RADII = 1.3
 # Nothing is taken for smaller than this: a draft of one small part.
 LEAST_RADIUS_M = 0.25
 # Of the radius: the axes of the selected part and of measured poses, and how far above a part its name stands.
@@ -69,7 +71,7 @@ class Scene:
     def __init__(self, server: ViserServer, on_part: Callable[[Any, str], Coroutine[Any, Any, None]]) -> None:
         self._server, self._on_part = server, on_part
         self._nodes = Nodes()
-        self.radius_m = LEAST_RADIUS_M
+        self.radius_m, self._middle_m = LEAST_RADIUS_M, np.zeros(3)
         # Without a graphics card shadows take most of the time that a picture takes.
         self._scene.configure_default_lights(cast_shadow=False)
         self._tree = self._scene.add_frame(TREE, show_axes=False)
@@ -90,13 +92,18 @@ class Scene:
     def look_at(self, draft: Draft, states: Mapping[str, float]) -> None:
         """Turn the cameras of all tabs, and of those that will open, to all of a draft."""
         low, high = bounds(draft, states)
-        middle = (low + high) / 2
+        middle = self._middle_m = (low + high) / 2
         self.radius_m = max(float(np.linalg.norm(high - low)) / 2, LEAST_RADIUS_M)
         eye = middle + DISTANCE_RADII * self.radius_m * VIEW_FROM
         cameras = [self._server.initial_camera, *(c.camera for c in self._server.get_clients().values())]
         for camera in cameras:
             camera.position, camera.look_at, camera.fov = eye, middle, float(OPENING_RAD)
         self._add_floor(middle, float(low[2]))
+
+    def has_in_view(self, draft: Draft, states: Mapping[str, float]) -> bool:
+        """Whether a draft is within what the cameras were last turned to, or not far beyond."""
+        far = np.abs(np.stack(bounds(draft, states)) - self._middle_m).max(axis=0)
+        return bool(np.linalg.norm(far) <= VIEWED_RADII * self.radius_m)
 
     def _add_floor(self, middle: FloatArray, height_m: float) -> None:
         size_m = 10 ** np.floor(np.log10(self.radius_m))
@@ -208,22 +215,6 @@ class Scene:
             T.tobytes(),
             lambda name: self._scene.add_batched_axes(name, wxyz, xyz, axes_length=length, axes_radius=length / 40),
         )
-
-
-def bounds(draft: Draft, states: Mapping[str, float]) -> tuple[FloatArray, FloatArray]:
-    """The least and the greatest coordinates (3,) [m] of a draft's boxes and joints, in its root's frame."""
-    corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) / 2
-    points: list[FloatArray] = []
-    poses = draft.poses(states)
-    for part in draft.parts:
-        points.append(poses[part][None, :3, 3])
-        for block in part_blocks(draft, part):
-            T = poses[part] @ block.T_part_block
-            points.append((corners * block.size_m) @ T[:3, :3].T + T[:3, 3])
-    for joint in draft.joints:
-        points += [line.points_m for line in joint_glyph(draft, joint.name, states, poses).lines]
-    every = np.concatenate(points)
-    return every.min(axis=0), every.max(axis=0)
 
 
 def _frame(part: str) -> str:

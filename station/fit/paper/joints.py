@@ -85,6 +85,11 @@ class PaperJoint(ABC):
     def geometry(self, zero: float) -> JointGeometry:
         """One joint as the rest of the station holds it, with its state counted from `zero` [m or rad]."""
 
+    @property
+    def twin(self) -> Self | None:
+        """The joint near which the costs have a second minimum if they have one here; None of a type with just one."""
+        return None
+
     @classmethod
     def batch(cls, joints: Sequence[Self]) -> Self:
         """Joints of one type, as a batch (P,)."""
@@ -214,6 +219,12 @@ class PaperPrismatic(PaperJoint):
         slopes[..., :3, :, 6:] += q[..., None, :, None] * across
         slopes[..., 3:, :, 3:6] = np.eye(3)[:, None]
         return slopes
+
+    @property
+    def twin(self) -> Self:
+        """As far the other way along u: by (21) the lever from there takes up as much of the errors of orientation."""
+        along = np.einsum("...i,...i->...", self.o[..., :3, 3], self.u)[..., None] * self.u
+        return type(self)(se3.pose(self.o[..., :3, :3], self.o[..., :3, 3] - 2 * along), self.u)
 
     def with_child_offset(self, T_child_offset: FloatArray) -> Self:
         return type(self)(self.o @ T_child_offset, self.u)

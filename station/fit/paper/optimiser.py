@@ -69,8 +69,19 @@ class _Place:
 def scoring(start: PaperJoint, T_parent_child: FloatArray, cost: Cost) -> PaperJoint:
     """Gauss and Newton's steps by the cost's own curvature (`curvature_of`), with Levenberg and Marquardt's damping.
 
-    What becomes of a pair doesn't depend on those beside it.
+    Of a joint that has a twin it goes on from there as well, and keeps the better one of the two. What becomes of a
+    pair doesn't depend on those beside it.
     """
+    found = _descended(start, T_parent_child, cost)
+    twin = found.joint.twin
+    if twin is None:
+        return found.joint
+    other = _descended(twin, T_parent_child, cost)
+    better = np.flatnonzero(other.total < found.total)
+    return found.joint.with_rows(better, other.joint.take(better))
+
+
+def _descended(start: PaperJoint, T_parent_child: FloatArray, cost: Cost) -> _Place:
     metric = curvature_of(cost)
     place = _at(start, T_parent_child, cost, metric)
     damping = np.full(len(place.total), DAMPING_START)
@@ -87,7 +98,7 @@ def scoring(start: PaperJoint, T_parent_child: FloatArray, cost: Cost) -> PaperJ
         left = left[promise > SETTLED * np.maximum(here.total, 1.0)]
         if not left.size:
             break
-    return place.joint
+    return place
 
 
 def _at(joint: PaperJoint, T_parent_child: FloatArray, cost: Cost, metric: FloatArray) -> _Place:

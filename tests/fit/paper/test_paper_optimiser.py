@@ -54,12 +54,14 @@ def test_it_ends_where_bfgs_does(kind: int, seed: int) -> None:
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_a_slide_ends_where_bfgs_does_or_as_far_the_other_way(seed: int) -> None:
-    """Under equation 21 o goes metres along u until its lever takes up errors of orientation: either way is a minimum.
-    One of these twelve pairs ends in the other one, at half a percent more.
+def test_a_slide_ends_no_worse_than_by_bfgs(seed: int) -> None:
+    """Under equation 21 o goes metres along u until its lever takes up errors of orientation: either way is a minimum,
+    and the better one of the two is taken, wherever BFGS ends.
     """
     ours, theirs, x = both_ends(seed, 1)
-    np.testing.assert_allclose(totals(ours, x), totals(theirs, x), rtol=0.01)
+    assert np.all(totals(ours, x) <= totals(theirs, x) * (1 + 1e-8))  # what is left along the valley
+    twin = ours.twin
+    assert twin is not None and np.all(totals(ours, x) <= totals(twin, x))
     lever_m, lever_of_bfgs_m = (
         np.abs(np.sum(joint.arrays[0][:, :3, 3] * joint.arrays[1], axis=-1)) for joint in (ours, theirs)
     )
