@@ -107,3 +107,16 @@ Hand = Annotated[bool, typer.Option("--hand", help="Torque OFF: people move the 
 DurationS = Annotated[
     float | None, typer.Option("--duration-s", min=0.1, help="How long to record with --hand; until Ctrl-C.")
 ]
+Freedom = Annotated[
+    int | None, typer.Option("--freedom", help="Degrees of freedom of student noise (3).", show_default=False)
+]
+Flips = Annotated[
+    float | None,
+    typer.Option("--flips", help="Share of poses that camera noise turns over (0.02).", show_default=False),
+]
+SimulatedMotion = Annotated[str, typer.Option("--motion", help="walk (the paper's bounded random walk) or smooth.")]
+SimulatedRoot = Annotated[str, typer.Option("--root", help="moving, as in the paper, or static.")]
+Planar = Annotated[bool, typer.Option("--planar", help="A 2D object: it moves in the xy plane.")]
+PlanarNoise = Annotated[bool, typer.Option("--planar-noise", help="With --planar: the noise is in the plane too.")]
+Outliers = Annotated[float, typer.Option("--outliers", help="Share of poses that are wrong.")]
+Missing = Annotated[float, typer.Option("--missing", help="Share of poses that are not seen.")]

@@ -9,7 +9,17 @@ from typing import Annotated
 import typer
 
 from station.cli.app import app
-from station.cli.options import Json
+from station.cli.options import (
+    Flips,
+    Freedom,
+    Json,
+    Missing,
+    Outliers,
+    Planar,
+    PlanarNoise,
+    SimulatedMotion,
+    SimulatedRoot,
+)
 from station.cli.show import progress, say_next, warn
 
 
@@ -43,21 +53,14 @@ def simulate(
             "(standard deviations at 1 m; depth and tilt worse; flips).",
         ),
     ] = "uniform",
-    freedom: Annotated[
-        int | None, typer.Option("--freedom", help="Degrees of freedom of student noise (3).", show_default=False)
-    ] = None,
-    flips: Annotated[
-        float | None,
-        typer.Option("--flips", help="Share of poses that camera noise turns over (0.02).", show_default=False),
-    ] = None,
-    motion: Annotated[str, typer.Option("--motion", help="walk (the paper's bounded random walk) or smooth.")] = "walk",
-    root: Annotated[str, typer.Option("--root", help="moving or static.")] = "moving",
-    planar: Annotated[bool, typer.Option("--planar", help="A 2D object: it moves in the xy plane.")] = False,
-    planar_noise: Annotated[
-        bool, typer.Option("--planar-noise", help="With --planar: the noise is in the plane too.")
-    ] = False,
-    outliers: Annotated[float, typer.Option("--outliers", help="Share of poses that are wrong.")] = 0.0,
-    missing: Annotated[float, typer.Option("--missing", help="Share of poses that are not seen.")] = 0.0,
+    freedom: Freedom = None,
+    flips: Flips = None,
+    motion: SimulatedMotion = "walk",
+    root: SimulatedRoot = "moving",
+    planar: Planar = False,
+    planar_noise: PlanarNoise = False,
+    outliers: Outliers = 0.0,
+    missing: Missing = 0.0,
     rate_hz: Annotated[float, typer.Option("--rate-hz", help="Frames a second.")] = 30.0,
     known_noise: Annotated[
         bool, typer.Option("--known-noise", help="Tell the noise's standard deviations in the poses.csv.")

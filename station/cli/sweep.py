@@ -12,7 +12,17 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from station.cli.app import app
-from station.cli.options import Json
+from station.cli.options import (
+    Flips,
+    Freedom,
+    Json,
+    Missing,
+    Outliers,
+    Planar,
+    PlanarNoise,
+    SimulatedMotion,
+    SimulatedRoot,
+)
 from station.cli.show import progress, say_next, table, warn
 
 if TYPE_CHECKING:
@@ -68,21 +78,14 @@ def sweep(
     noise: Annotated[
         str, typer.Option("--noise", help="uniform, gaussian, student or camera; see station simulate.")
     ] = "uniform",
-    freedom: Annotated[
-        int | None, typer.Option("--freedom", help="Degrees of freedom of student noise (3).", show_default=False)
-    ] = None,
-    flips: Annotated[
-        float | None,
-        typer.Option("--flips", help="Share of poses that camera noise turns over (0.02).", show_default=False),
-    ] = None,
-    motion: Annotated[str, typer.Option("--motion", help="walk, as in the paper, or smooth.")] = "walk",
-    root: Annotated[str, typer.Option("--root", help="moving, as in the paper, or static.")] = "moving",
-    planar: Annotated[bool, typer.Option("--planar", help="2D objects.")] = False,
-    planar_noise: Annotated[
-        bool, typer.Option("--planar-noise", help="2D objects' noise in their plane alone.")
-    ] = False,
-    outliers: Annotated[float, typer.Option("--outliers", help="Share of poses that are wrong.")] = 0.0,
-    missing: Annotated[float, typer.Option("--missing", help="Share of poses that are not seen.")] = 0.0,
+    freedom: Freedom = None,
+    flips: Flips = None,
+    motion: SimulatedMotion = "walk",
+    root: SimulatedRoot = "moving",
+    planar: Planar = False,
+    planar_noise: PlanarNoise = False,
+    outliers: Outliers = 0.0,
+    missing: Missing = 0.0,
     known_noise: Annotated[
         bool, typer.Option("--known-noise", help="Tell the fit the covariance of the noise.")
     ] = False,
