@@ -65,17 +65,19 @@ def learn_all(logs: Sequence[PoseLog], options: FitOptions | None = None) -> lis
     """
     options = FitOptions() if options is None else options
     if options.method == "paper":
-        return answered_all([_by_paper(log, options) for log in logs])
+        return [_by_paper(log, options) for log in logs]
     with products_in_one_thread():
         return answered_all([_learning(log, options) for log in logs])
 
 
-def _by_paper(log: PoseLog, options: FitOptions) -> Asking[Fit]:
+def _by_paper(log: PoseLog, options: FitOptions) -> Fit | InvalidData:
     from station.fit.paper import learn_paper  # only who asks for it waits for it
 
-    _check(log, options)
-    return learn_paper(log, options)
-    yield  # asks nothing
+    try:
+        _check(log, options)
+        return learn_paper(log, options)
+    except InvalidData as error:
+        return error
 
 
 def _learning(log: PoseLog, options: FitOptions) -> Asking[Fit]:
