@@ -61,14 +61,15 @@ class _Slides:
     fits: tuple[JointFit, ...]
 
     @staticmethod
-    def of(bodies: Bodies, pairs: IntArray, joint_types: Sequence[str]) -> Asking[_Slides]:
+    def of(structure: Structure, pairs: IntArray, joint_types: Sequence[str]) -> Asking[_Slides]:
+        bodies, known = structure.bodies, structure.known
         pairs = oriented_pairs(bodies, pairs)
 
         def told(found: Explained) -> list[JointFit]:
             best = [found.scores.best_type(i) for i in range(len(found.tracks.seen))]
             return [found.fits[name].take(np.array([i])) for i, name in enumerate(best)]
 
-        question = question_of(bodies, pairs, joint_types, COMPARING, "evidence", free=False, told=told)
+        question = question_of(bodies, pairs, joint_types, COMPARING, "evidence", free=False, told=told, known=known)
         found = yield from ask(question)
         return _Slides(pairs, tuple(fit for piece in found for fit in piece))
 
@@ -84,7 +85,7 @@ def settled(structure: Structure, joint_types: Sequence[str]) -> Asking[tuple[St
     movable = [name for name in joint_types if JOINT_TYPES[name].states == 1]
     if len(structure.edges) < 2 or not movable:
         return structure, ()
-    slides = yield from _Slides.of(structure.bodies, structure.edges, movable)
+    slides = yield from _Slides.of(structure, structure.edges, movable)
     edges, doubts = list(range(len(slides.pairs))), list[Doubt]()
     kept: list[tuple[int, int]] = []
     for rows in _along_one_line(slides):  # such lines are few
@@ -158,7 +159,7 @@ def _settled_line(
     if not others:
         return list(known), []
     pairs = np.array(others, dtype=np.intp).reshape(-1, 2)
-    candidates = yield from _Slides.of(structure.bodies, pairs, joint_types)
+    candidates = yield from _Slides.of(structure, pairs, joint_types)
     worst = max(float(fit.model.scales.max()) for fit in edges.fits)
     as_good = [
         i

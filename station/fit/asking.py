@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from station.errors import InvalidData
+from station.fit.known_joints import KnownJoints
 from station.fit.pairwise import COST_TOLERANCE, LM_ITERATIONS, JointFit, PairTracks, fit_types
 from station.fit.parallel import FRAMES_AT_ONCE, each, pieces
 from station.fit.selection import Scores, score_fits
@@ -74,6 +75,7 @@ class Question(Generic[Told]):
         criterion: by which types are scored.
         free: whether pairs may be free; see `score_fits`.
         told: what is kept of the pairs of a piece.
+        known: of the pairs, to start at.
     """
 
     pairs: int
@@ -84,6 +86,7 @@ class Question(Generic[Told]):
     criterion: str
     free: bool | None
     told: Callable[[Explained], Told]
+    known: KnownJoints | None = None
 
     @property
     def frames_at_most(self) -> int:
@@ -93,7 +96,7 @@ class Question(Generic[Told]):
     @property
     def kind(self) -> Hashable:
         """What questions have in common that are answered together."""
-        return self.joint_types, self.effort, self.criterion, self.free
+        return self.joint_types, self.effort, self.criterion, self.free, self.known is None
 
 
 def ask(question: Question[Told]) -> Asking[list[Told]]:
@@ -187,7 +190,12 @@ def _told(pack: Sequence[_Piece]) -> list[Any]:
         alike[some.seen.shape[1], some.noise.noisy is None].append(i)
     found: dict[int, Any] = {}
     for group in alike.values():
-        whole = _explained(pack[group[0]].question, PairTracks.all_of([tracks[i] for i in group]))
+        joints = [known.take(pack[i].rows) for i in group if (known := pack[i].question.known) is not None]
+        whole = _explained(
+            pack[group[0]].question,
+            PairTracks.all_of([tracks[i] for i in group]),
+            KnownJoints.all_of(joints) if joints else None,
+        )
         first = 0
         for i in group:
             rows = np.arange(first, first + len(tracks[i].seen), dtype=np.intp)
@@ -196,7 +204,9 @@ def _told(pack: Sequence[_Piece]) -> list[Any]:
     return [found[i] for i in range(len(pack))]
 
 
-def _explained(question: Question[Any], tracks: PairTracks) -> Explained:
+def _explained(question: Question[Any], tracks: PairTracks, known: KnownJoints | None) -> Explained:
     effort = question.effort
-    fits = fit_types(tracks, question.joint_types, iterations=effort.iterations, tolerance=effort.tolerance)
+    fits = fit_types(
+        tracks, question.joint_types, iterations=effort.iterations, tolerance=effort.tolerance, known=known
+    )
     return Explained(tracks, fits, score_fits(fits, tracks, question.criterion, free=question.free))

@@ -7,7 +7,7 @@ edge of the forest is.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TypeVar
 
@@ -17,10 +17,12 @@ from numpy.typing import NDArray
 from station.fit import pairwise
 from station.fit.asking import COMPARING, FITTING, SCREENING, Asking, Effort, Explained, Question, ask
 from station.fit.bodies import Bodies, counted_tracks, oriented_pairs
-from station.fit.pairwise import JointFit, PairTracks
+from station.fit.known_joints import KnownJoints
+from station.fit.pairwise import JointFit, PairTracks, told_by_pose
 from station.fit.rare_motion import moved_rarely
 from station.fit.selection import Scores
 from station.fit.structure import contenders, spanning_forest
+from station.kinematics.joints import JointFrames
 from station.logs import FloatArray
 
 BoolArray = NDArray[np.bool_]
@@ -35,8 +37,6 @@ MIN_FRAMES = 10
 FULL_SHARE = 0.25
 # Ratio of deviations: a rigid joint with so many times the noise that its parts have elsewhere is no rigid joint.
 MISFIT = 4.0
-# Pairs of which all are fitted with care: with so few a first look costs more than it spares.
-FEW_PAIRS = 15
 # How much better than the first look a careful one may make a pair, in -2 log likelihood of a frame: on simulated trees
 # it is 0.5 at the median and 3.2 at most.
 SCREEN_MARGIN = 6.0
@@ -57,6 +57,7 @@ class PairTable:
         moved: (P,) known to have.
         rigid: (P,) the best type is rigid, its noise is what its parts have elsewhere, and not known to have moved.
         T_a_b: (P, 4, 4) pose of the best type at the state 0.
+        joints: of all types, as far as they were fitted.
     """
 
     pairs: IntArray
@@ -69,6 +70,7 @@ class PairTable:
     moved: BoolArray
     rigid: BoolArray
     T_a_b: FloatArray
+    joints: KnownJoints
 
 
 def fit_types(tracks: PairTracks, joint_types: Sequence[str], *, quickly: bool) -> dict[str, JointFit]:
@@ -86,22 +88,27 @@ def question_of(
     *,
     free: bool | None,
     told: Callable[[Explained], Told],
+    known: KnownJoints | None = None,
 ) -> Question[Told]:
-    """About pairs (P, 2) of bodies as they are oriented, by frames that count."""
+    """About pairs (P, 2) of bodies as they are oriented, by frames that count; from what is known of some pairs."""
 
     def tracks(rows: IntArray) -> PairTracks:
         return counted_tracks(bodies, pairs[rows], at_most=effort.frames)
 
-    return Question(len(pairs), len(bodies.seen), tracks, tuple(joint_types), effort, criterion, free, told)
+    start = None if known is None else known.of(pairs, joint_types)
+    start = None if start is None or not start.known.any() else start
+    return Question(len(pairs), len(bodies.seen), tracks, tuple(joint_types), effort, criterion, free, told, start)
 
 
 def fit_pairs(
-    bodies: Bodies, pairs: IntArray, joint_types: Sequence[str], criterion: str
+    bodies: Bodies, pairs: IntArray, joint_types: Sequence[str], criterion: str, known: KnownJoints | None = None
 ) -> Asking[tuple[dict[str, JointFit], Scores]]:
     """All types fitted to all frames that count of pairs (P, 2) as they are oriented, and scored."""
-    question = question_of(
-        bodies, pairs, joint_types, FITTING, criterion, free=None, told=lambda found: (found.fits, found.scores)
-    )
+
+    def told(found: Explained) -> tuple[Mapping[str, JointFit], Scores]:
+        return found.fits, found.scores
+
+    question = question_of(bodies, pairs, joint_types, FITTING, criterion, free=None, told=told, known=known)
     found = yield from ask(question)
     fits = {name: JointFit.all_of([fits[name] for fits, _ in found]) for name in joint_types}
     return fits, Scores.all_of([scores for _, scores in found])
@@ -114,6 +121,7 @@ def compare_pairs(
     criterion: str,
     *,
     only_rigid: BoolArray | None = None,
+    known: KnownJoints | None = None,
 ) -> Asking[PairTable]:
     """Fit and score pairs (P, 2) of bodies; pairs with too few common frames get infinite scores.
 
@@ -123,12 +131,15 @@ def compare_pairs(
         joint_types: the candidates.
         criterion: how they are compared.
         only_rigid: (K,) bodies that no movable joint may join; none if None.
+        known: of some of the pairs, to start at.
     """
     pairs = oriented_pairs(bodies, pairs)
     barred = _any_end(np.zeros(len(bodies.names), dtype=bool) if only_rigid is None else only_rigid, pairs)
     table = _nothing_known(bodies, pairs, joint_types, criterion)
+    if known is not None:
+        table = replace(table, joints=known.of(pairs, joint_types))
     todo = table.enough
-    if todo.sum() > FEW_PAIRS:
+    if todo.any():
         table = yield from _looked_at(bodies, table, todo, joint_types, SCREENING)
         todo = _undecided(table, barred, len(bodies.names))
     while todo.any():  # what a careful look finds may make contenders of other pairs
@@ -203,6 +214,7 @@ def _nothing_known(bodies: Bodies, pairs: IntArray, joint_types: Sequence[str], 
         moved=no,
         rigid=no,
         T_a_b=np.tile(np.eye(4), (P, 1, 1)),
+        joints=KnownJoints.none(pairs, joint_types),
     )
 
 
@@ -212,9 +224,10 @@ def _looked_at(
     """The table after a look at some of its pairs (P,)."""
     rows = np.flatnonzero(todo)
     criterion = table.scores.criterion
-    looks = yield from ask(
-        question_of(bodies, table.pairs[rows], joint_types, effort, criterion, free=None, told=_Look.of)
+    question = question_of(
+        bodies, table.pairs[rows], joint_types, effort, criterion, free=None, told=_Look.of, known=table.joints
     )
+    looks = yield from ask(question)
     seen = np.concatenate([look.seen for look in looks])
     scores = Scores.all_of([look.scores for look in looks]).counted_for(table.counted[rows] / seen)
 
@@ -229,18 +242,23 @@ def _looked_at(
         scores=table.scores.with_rows(rows, scores),
         scales=with_found(table.scales, [look.scales for look in looks]),
         T_a_b=with_found(table.T_a_b, [look.T_a_b for look in looks]),
+        joints=table.joints.with_rows(rows, _joints(table.pairs[rows], looks)),
     )
     return replace(found, rigid=_rigid(found, bodies))
 
 
 @dataclass(frozen=True, eq=False)
 class _Look:
-    """What is kept of a look at P pairs: scores, the likeliest types' scales (P, S) and T_a_b, and seen frames."""
+    """What is kept of a look at P pairs: scores, the likeliest types' scales (P, S) and T_a_b, seen frames, all joints,
+    and whether they are told by orientations.
+    """
 
     scores: Scores
     scales: FloatArray
     T_a_b: FloatArray
     seen: IntArray
+    frames: Mapping[str, JointFrames]
+    by_pose: BoolArray
 
     @staticmethod
     def of(found: Explained) -> _Look:
@@ -249,7 +267,19 @@ class _Look:
         T_a_b = np.stack([f.model.frames.T_parent_axis @ f.model.frames.T_axis_child for f in fits.values()])
         scales = np.stack([fit.model.scales for fit in fits.values()])
         seen = found.tracks.seen.sum(axis=-1)
-        return _Look(found.scores, scales[best, np.arange(P)], T_a_b[best, np.arange(P)], seen)
+        frames = {name: fit.model.frames for name, fit in fits.items()}
+        rows = np.arange(P)
+        return _Look(found.scores, scales[best, rows], T_a_b[best, rows], seen, frames, told_by_pose(found.tracks))
+
+
+def _joints(pairs: IntArray, looks: Sequence[_Look]) -> KnownJoints:
+    """Of pairs (P, 2) that were looked at in pieces."""
+    ends = np.cumsum([len(look.by_pose) for look in looks])
+    some = [
+        KnownJoints(piece, np.ones(len(piece), dtype=bool), look.by_pose, look.frames)
+        for piece, look in zip(np.split(pairs, ends[:-1]), looks, strict=True)
+    ]
+    return KnownJoints.all_of(some)
 
 
 def _rigid(table: PairTable, bodies: Bodies) -> BoolArray:

@@ -111,24 +111,32 @@ def _check(log: PoseLog, options: FitOptions) -> None:
 
 def _find_structure(log: PoseLog, options: FitOptions, include: bool) -> Asking[Structure]:
     parts = with_reference(bodies_of_log(log), log.reference)
-    groups, bodies = singles(len(parts.names)), parts
+    groups, bodies, known = singles(len(parts.names)), parts, None
     edges = np.zeros((0, 2), dtype=np.intp)
     for level in count():  # bodies of one round are the parts of the next; each round but the first merges some
         pairs, alone = _all_pairs(len(bodies.names)), _only_rigid(groups, include)
-        table = yield from compare_pairs(bodies, pairs, options.joint_types, options.criterion, only_rigid=alone)
+        table = yield from compare_pairs(
+            bodies, pairs, options.joint_types, options.criterion, only_rigid=alone, known=known
+        )
         if level == 0 and not table.enough.any():
             raise InvalidData(_too_few(log))
         chosen = spanning_forest(len(groups), table.pairs, edge_weights(table, alone))
         rigid = _rigid_edges(table, chosen)
-        edges = table.pairs[chosen]
+        edges, known = table.pairs[chosen], table.joints
         if level > 0 and not rigid.size:
             break
         if level == 0:
             parts = scaled_by_part(parts, _variances(table, chosen, len(parts.names)))
-        groups = merged(groups, table.pairs[rigid], table.T_a_b[rigid])
-        groups = refined_mounts(parts, groups)
+        before, groups = groups, merged(groups, table.pairs[rigid], table.T_a_b[rigid])
+        groups, known = refined_mounts(parts, groups), known.renumbered(_numbers_of(before, groups))
         bodies = fused_bodies(parts, groups)
-    return Structure(parts, groups, bodies, edges)
+    return Structure(parts, groups, bodies, edges, known)
+
+
+def _numbers_of(groups: Sequence[Group], merged: Sequence[Group]) -> IntArray:
+    """(K,) which merged group has the frame of each group, that of its first member; -1 if none has."""
+    number = {group.members[0]: k for k, group in enumerate(merged)}
+    return np.array([number.get(group.members[0], -1) for group in groups], dtype=np.intp)
 
 
 def _too_few(log: PoseLog) -> str:

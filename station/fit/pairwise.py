@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from station.fit.consensus import consensus_models
+from station.fit.known_joints import KnownJoints
 from station.fit.noise import INLIER_ABOVE
 from station.fit.pair_model import (
     OUTLIER_SHARE_START,
@@ -29,10 +30,11 @@ from station.fit.pair_model import (
     stepped_frames,
 )
 from station.fit.pair_refinement import COST_TOLERANCE, LM_ITERATIONS, Progress, begin, finished, improve, inliers
-from station.fit.pair_starts import start_models
-from station.kinematics.joints import JOINT_TYPES, JointType
+from station.fit.pair_starts import judged, start_models
+from station.kinematics.joints import JOINT_TYPES, JointFrames, JointType
 from station.logs import FloatArray
 
+BoolArray = NDArray[np.bool_]
 IntArray = NDArray[np.intp]
 
 __all__ = [
@@ -57,7 +59,7 @@ LEAST_ORIENTED = 10
 # Steps that every type is given; after them, those that have fallen behind the best one settle for less.
 FIRST_ITERATIONS = 2
 # Tolerance as a share of how far a type is behind: it won't catch up by a thousandth of that.
-BEHIND_TOLERANCE = 1e-3
+BEHIND_TOLERANCE = 0.03
 # Share of outliers among poses, and among positions, from which on starts are sought by sample consensus as well:
 # rotations tell axes even with 40 %. A few frames are no share.
 MANY_POSES, MANY_POSITIONS, MANY_FRAMES = 0.15, 0.03, 4.0
@@ -74,7 +76,7 @@ def fit_joint(
     tolerance: float = COST_TOLERANCE,
 ) -> JointFit:
     """Fit one joint type to all pairs; `by_pose` if orientations were measured."""
-    return _Work(tracks, by_pose, iterations, tolerance).fits({joint.name: joint})[joint.name]
+    return _Work(tracks, by_pose, iterations, tolerance, None).fits({joint.name: joint})[joint.name]
 
 
 def fit_types(
@@ -83,44 +85,64 @@ def fit_types(
     *,
     iterations: int = LM_ITERATIONS,
     tolerance: float = COST_TOLERANCE,
+    known: KnownJoints | None = None,
 ) -> dict[str, JointFit]:
-    """Every type fitted to all pairs; pairs without orientations by their positions."""
-    by_pose = tracks.oriented.sum(axis=-1) >= LEAST_ORIENTED
-    rows = [np.flatnonzero(by_pose == kind) for kind in (True, False)]
+    """Every type fitted to all pairs; pairs without orientations by their positions, those that are known from there."""
+    by_pose = told_by_pose(tracks)
+    begun = np.zeros(len(by_pose), dtype=bool) if known is None else known.known & (known.by_pose == by_pose)
+    rows = [np.flatnonzero((by_pose == kind) & (begun == there)) for kind in (True, False) for there in (True, False)]
     joints = {name: JOINT_TYPES[name] for name in joint_types}
     fits: list[dict[str, JointFit]] = []
-    for kind, some in zip((True, False), rows, strict=True):
+    for some in rows:
         if some.size:
-            work = _Work(tracks if some.size == len(by_pose) else tracks.take(some), kind, iterations, tolerance)
-            fits.append(work.fits(joints))
+            from_there = known.take(some).frames if known is not None and begun[some[0]] else None
+            taken = tracks if some.size == len(by_pose) else tracks.take(some)
+            fits.append(_Work(taken, bool(by_pose[some[0]]), iterations, tolerance, from_there).fits(joints))
     order = np.argsort(np.concatenate(rows))
     return {name: JointFit.all_of([fit[name] for fit in fits]).take(order) for name in joint_types}
 
 
+def told_by_pose(tracks: PairTracks) -> BoolArray:
+    """(P,) whether pairs are fitted to poses, or to positions alone."""
+    return tracks.oriented.sum(axis=-1) >= LEAST_ORIENTED
+
+
 @dataclass(frozen=True, eq=False)
 class _Work:
-    """Pairs that all have orientations, or none, and how well they are to be fitted."""
+    """Pairs that all have orientations, or none, how well they are to be fitted, and joints to start at, or none."""
 
     tracks: PairTracks
     by_pose: bool
     iterations: int
     tolerance: float
+    known: Mapping[str, JointFrames] | None
 
     def fits(self, joints: Mapping[str, JointType]) -> dict[str, JointFit]:
         """Fits of several types."""
         begun = {name: self._improved(joint, self.tracks, self._start(joint)) for name, joint in joints.items()}
-        many, some = self._with_outliers(begun)
-        for name, joint in joints.items():
-            begun[name] = self._retried(joint, begun[name], many, self._from_samples)
-            if joint.states:
-                begun[name] = self._retried(joint, begun[name], some, self._from_the_rest)
+        if self.known is None:
+            begun = self._begun_again(joints, begun)
         for name, joint in joints.items():  # all others have come as far as they do, in whatever order types are given
             for simpler in (included for included in joint.includes if included in begun):
                 begun[name] = self._from_included(joint, begun[name], begun[simpler])
         best = np.min(np.stack([progress.cost for progress in begun.values()]), axis=0)
         return {name: self._finished(joints[name], progress, best) for name, progress in begun.items()}
 
+    def _begun_again(self, joints: Mapping[str, JointType], begun: Mapping[str, Progress]) -> dict[str, Progress]:
+        """With other starts where there are outliers."""
+        many, some = self._with_outliers(begun)
+        again: dict[str, Progress] = {}
+        for name, joint in joints.items():
+            again[name] = self._retried(joint, begun[name], many, self._from_samples)
+            if joint.states:
+                again[name] = self._retried(joint, again[name], some, self._from_the_rest)
+        return again
+
     def _start(self, joint: JointType) -> Model:
+        if self.known is not None:
+            usable = self.tracks.oriented if self.by_pose else self.tracks.seen
+            weights = usable.astype(np.float64)
+            return judged(joint, self.tracks, self.known[joint.name], weights, by_pose=self.by_pose).model
         return start_models(joint, self.tracks, by_pose=self.by_pose)
 
     def _improved(self, joint: JointType, tracks: PairTracks, model: Model) -> Progress:

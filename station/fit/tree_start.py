@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from station.fit.asking import Asking
 from station.fit.bodies import Bodies, Group, oriented_pairs
 from station.fit.comparison import fit_pairs
+from station.fit.known_joints import KnownJoints
 from station.fit.noise import INLIER_ABOVE
 from station.fit.options import FitOptions
 from station.fit.selection import Scores, continuous_states
@@ -29,12 +30,15 @@ REFERENCE = 0  # the log's reference frame is the first of all parts while fitti
 
 @dataclass(frozen=True, eq=False)
 class Structure:
-    """Parts (reference first) with their noise, groups of them, the groups' bodies, and the forest's edges (E, 2)."""
+    """Parts (reference first) with their noise, groups of them, the groups' bodies, the forest's edges (E, 2), and joints
+    of the bodies' pairs as the comparison left them.
+    """
 
     parts: Bodies
     groups: tuple[Group, ...]
     bodies: Bodies
     edges: IntArray
+    known: KnownJoints
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +67,7 @@ def tree_start(structure: Structure, root: int, options: FitOptions) -> Asking[T
     inward = [(a, b) for a, b, _ in outward(root if still is None else still, structure.edges)]
     names = [(a, b) if (a, b) in order else (b, a) for a, b in inward]
     bodies = (root if still is None else still, *(b for _, b in inward))
-    joints = yield from _pair_joints(structure.bodies, names, options)
+    joints = yield from _pair_joints(structure, names, options)
     number = {k: body for body, k in enumerate(bodies)}
     tree_joints = tuple(
         TreeJoint(number[parent], number[child], kind, turned=(parent, child) != pair)
@@ -88,11 +92,12 @@ class _PairJoints:
     scores: Scores
 
 
-def _pair_joints(bodies: Bodies, names: Sequence[tuple[int, int]], options: FitOptions) -> Asking[_PairJoints]:
+def _pair_joints(structure: Structure, names: Sequence[tuple[int, int]], options: FitOptions) -> Asking[_PairJoints]:
     """Each joint's likeliest movable type; a pair is fitted from the body that has orientations."""
+    bodies = structure.bodies
     pairs = np.array(names, dtype=np.intp).reshape(-1, 2)
     fitted = oriented_pairs(bodies, pairs)
-    fits, scores = yield from fit_pairs(bodies, fitted, options.joint_types, options.criterion)
+    fits, scores = yield from fit_pairs(bodies, fitted, options.joint_types, options.criterion, structure.known)
     movable = [name for name in options.joint_types if JOINT_TYPES[name].states] or list(options.joint_types)
     types: list[JointType] = []
     frames: list[JointFrames] = []
