@@ -37,6 +37,8 @@ MIN_FRAMES = 10
 FULL_SHARE = 0.25
 # Ratio of deviations: a rigid joint with so many times the noise that its parts have elsewhere is no rigid joint.
 MISFIT = 4.0
+# The same by a first look, from which on a careful one makes no rigid joint of it.
+SCREEN_MISFIT = 3 * MISFIT
 # How much better than the first look a careful one may make a pair, in -2 log likelihood of a frame: on simulated trees
 # it is 0.5 at the median and 3.2 at most.
 SCREEN_MARGIN = 6.0
@@ -56,6 +58,7 @@ class PairTable:
         still: (P,) known not to have moved in a few frames among many.
         moved: (P,) known to have.
         rigid: (P,) the best type is rigid, its noise is what its parts have elsewhere, and not known to have moved.
+        misfit: (P,) the noise is far from what its parts have elsewhere.
         T_a_b: (P, 4, 4) pose of the best type at the state 0.
         joints: of all types, as far as they were fitted.
     """
@@ -69,6 +72,7 @@ class PairTable:
     still: BoolArray
     moved: BoolArray
     rigid: BoolArray
+    misfit: BoolArray
     T_a_b: FloatArray
     joints: KnownJoints
 
@@ -193,6 +197,7 @@ def _undecided(table: PairTable, barred: BoolArray, count: int) -> BoolArray:
     """(P,) pairs that were not fitted with care and may be edges."""
     margin = SCREEN_MARGIN * table.counted
     least = _in_order(table, np.where(table.enough, table.scores.joined_weight, np.inf), margin)
+    least = np.where(barred & table.misfit, np.inf, least)
     if "rigid" in table.scores.by_type:
         likeliest = np.min(np.stack(list(table.scores.by_type.values())), axis=0)
         least = np.where(barred & (table.scores.by_type["rigid"] > likeliest + margin), np.inf, least)
@@ -213,6 +218,7 @@ def _nothing_known(bodies: Bodies, pairs: IntArray, joint_types: Sequence[str], 
         still=no,
         moved=no,
         rigid=no,
+        misfit=no,
         T_a_b=np.tile(np.eye(4), (P, 1, 1)),
         joints=KnownJoints.none(pairs, joint_types),
     )
@@ -244,7 +250,7 @@ def _looked_at(
         T_a_b=with_found(table.T_a_b, [look.T_a_b for look in looks]),
         joints=table.joints.with_rows(rows, _joints(table.pairs[rows], looks)),
     )
-    return replace(found, rigid=_rigid(found, bodies))
+    return replace(found, rigid=_rigid(found, bodies), misfit=~_noise_within(found, bodies, SCREEN_MISFIT))
 
 
 @dataclass(frozen=True, eq=False)
@@ -289,12 +295,17 @@ def _rigid(table: PairTable, bodies: Bodies) -> BoolArray:
     """
     if "rigid" not in table.scores.by_type:
         return np.zeros(len(table.pairs), dtype=bool)
+    likeliest = np.min(np.stack(list(table.scores.by_type.values())), axis=0)
+    rigid: BoolArray = table.enough & ~table.moved & (table.scores.by_type["rigid"] <= likeliest)
+    return rigid & _noise_within(table, bodies, MISFIT)
+
+
+def _noise_within(table: PairTable, bodies: Bodies, factor: float) -> BoolArray:
+    """(P,) deviations are no more than so many times those of the pair in which one of the parts fits best."""
     usual = np.full((len(bodies.names), table.scales.shape[-1]), np.inf)
     known = np.flatnonzero(table.careful if table.careful.any() else table.enough)
     worst_first = known[np.argsort(-(table.scores.joined_weight[known] / table.counted[known]), kind="stable")]
     usual[table.pairs[worst_first]] = table.scales[worst_first][:, None]  # of several the last one stays
     usual[~bodies.noisy] = 0.0
-    likeliest = np.min(np.stack(list(table.scores.by_type.values())), axis=0)
-    rigid: BoolArray = table.enough & ~table.moved & (table.scores.by_type["rigid"] <= likeliest)
     most = np.maximum(usual[table.pairs[:, 0]], usual[table.pairs[:, 1]])
-    return rigid & np.all(table.scales <= MISFIT**2 * most, axis=-1)
+    return np.all(table.scales <= factor**2 * most, axis=-1)
