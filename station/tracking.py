@@ -9,18 +9,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.intrinsics import CameraModel
+from station.fit.image.views import Views
+from station.kinematics import se3
 from station.logs import FloatArray, PoseLog
 from station.perception import pose
 from station.perception.choice import Choice, choose_over_time, chosen_poses
 from station.perception.corner_noise import evidence_weights, total_covariance
 from station.perception.corners import Detections
+from station.perception.edges import edge_shift_jacobian
 from station.perception.hypotheses import PoseHypotheses, estimate_hypotheses, part_of_row
 from station.perception.joint_covariance import joint_covariance
 from station.perception.marker_tracker import MarkerTracker
 from station.perception.markers import MarkerTable
 from station.perception.neighbours import choose_by_neighbours
 from station.perception.observations import FrameMarkers, ObservationBuilder, ObservationLog
-from station.perception.pose import MarkerPoses, estimate_poses
+from station.perception.pose import UNIT_CORNERS, MarkerPoses, estimate_poses
 from station.perception.rolling_shutter import at_frame_time
 
 
@@ -132,3 +135,45 @@ def estimate_pose_log(
 ) -> PoseLog:
     """The poses of `track_parts` alone."""
     return track_parts(observations, table, camera, sigma_px=sigma_px, readout_s=readout_s).poses
+
+
+def views_of(
+    observations: ObservationLog,
+    table: MarkerTable,
+    camera: CameraModel,
+    *,
+    sigma_px: float | None = None,
+    readout_s: float | None = None,
+) -> Views:
+    """A log's corners as a fit in the image takes them: on their parts, as detected, each with its covariance.
+
+    Markers that aren't in the table are left out; frames stay all.
+
+    Args:
+        observations: corners, times, and poses by this very camera.
+        table: the result's markers and parts are its, in its order.
+        camera: the camera that saw them; what it says of its edge shift and its focal lengths are priors.
+        sigma_px: standard deviation of a corner coordinate, as for `track_parts`.
+        readout_s: time from the first to the last row of a rolling shutter; the camera's own if None.
+    """
+    covariance_px2 = total_covariance(observations, table.sizes_m(observations.marker_id), camera, sigma_px)
+    marker = table.rows(observations.marker_id)
+    rows = np.flatnonzero(marker >= 0)
+    mounts = np.stack([each.mount for each in table.markers])
+    sides_m = np.array([each.size_m for each in table.markers])[:, None, None]
+    points_m = (sides_m * UNIT_CORNERS) @ np.swapaxes(mounts[:, :3, :3], -1, -2) + mounts[:, None, :3, 3]
+    return Views(
+        t_s=observations.t_s,
+        parts=table.parts,
+        marker_id=np.array([each.id for each in table.markers], dtype=np.int64),
+        part=np.array([table.parts.index(each.part) for each in table.markers], dtype=np.int64),
+        points_m=points_m,
+        frame=observations.frame[rows],
+        marker=marker[rows],
+        corners_px=observations.corners_px[rows],
+        covariance_px2=covariance_px2[rows],
+        by_shift_px=edge_shift_jacobian(observations.corners_px[rows]),
+        T_ref_part=observations.T_cam_marker[rows] @ se3.inverse(mounts[marker[rows]])[:, None],
+        camera=camera,
+        readout_s=(camera.readout_s or 0.0) if readout_s is None else readout_s,
+    )
