@@ -198,8 +198,11 @@ def _assembled(
     body_name = [names[group.members[named_member(group, include=include)]] for group in groups]
     joints_only = replace(options, joint_types=options.joints)
     read: list[tuple[int, int, JointReading, Scores, int]] = []
+    mounts: dict[str, FloatArray] = {}
     for root in roots:
-        read += yield from read_tree(structure, root, joints_only, include=include)
+        reading = yield from read_tree(structure, root, joints_only, include=include)
+        read += reading.joints
+        mounts |= {names[part]: T for part, T in reading.mounts.items()}
     joints = [
         _scored(r.joint(body_name[a], body_name[b], scores, i), scores, i, options) for a, b, r, scores, i in read
     ]
@@ -218,6 +221,7 @@ def _assembled(
         joints=tuple(joints),
         method={"name": options.method, "criterion": options.criterion, "joint_types": list(options.joint_types)},
         warnings=remarks(log, joints, readings, trees, told),
+        mounts=mounts,
     )
     return Fit(tree, _states(log, joints, readings))
 

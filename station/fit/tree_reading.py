@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -74,13 +75,25 @@ class _Refined:
         return np.any(self.fit.inlier[:, self.members(body)] > INLIER_ABOVE, axis=1)
 
 
-def read_tree(
-    structure: Structure, root: int, options: FitOptions, *, include: bool
-) -> Asking[list[tuple[int, int, JointReading, Scores, int]]]:
-    """(parent, child, reading, scores, row of the scores) of each joint of a tree, from the root outward."""
+@dataclass(frozen=True, eq=False)
+class TreeReading:
+    """What a tree's fit tells.
+
+    Attributes:
+        joints: (parent, child, reading, scores, row of the scores) of each, from the root outward; ends are bodies.
+        mounts: T_body_part (4, 4) of further trackers by part, in the frames of the bodies' naming parts.
+    """
+
+    joints: tuple[tuple[int, int, JointReading, Scores, int], ...]
+    mounts: Mapping[int, FloatArray]
+
+
+def read_tree(structure: Structure, root: int, options: FitOptions, *, include: bool) -> Asking[TreeReading]:
+    """The joints of a tree from the root outward, and where further trackers sit on its bodies."""
     order = [(a, b) for a, b, _ in outward(root, structure.edges)]
     if not order:
-        return []
+        group = structure.groups[root]
+        return TreeReading((), _mounts(group, group.members, group.mounts, include=include))
     start = yield from tree_start(structure, root, options)
     fit = refine_tree(
         start.skeleton,
@@ -90,7 +103,26 @@ def read_tree(
     refined = _Refined(structure, start, fit, include)
     names = [(start.bodies[joint.parent], start.bodies[joint.child]) for joint in start.skeleton.joints]
     rows = [names.index(pair) for pair in order]
-    return [(a, b, _reading(refined, j).settled(), start.scores, j) for (a, b), j in zip(order, rows, strict=True)]
+    joints = [(a, b, _reading(refined, j).settled(), start.scores, j) for (a, b), j in zip(order, rows, strict=True)]
+    mounts: dict[int, FloatArray] = {}
+    for k in start.bodies:
+        mounts |= _mounts(structure.groups[k], start.parts, fit.model.mounts, include=include)
+    return TreeReading(tuple(joints), mounts)
+
+
+def _mounts(group: Group, parts: Sequence[int], mounts: FloatArray, *, include: bool) -> dict[int, FloatArray]:
+    """T_body_part (4, 4) of a group's members but the one that names it, in that one's frame.
+
+    Args:
+        group: of parts.
+        parts: P of all parts.
+        mounts: (P, 4, 4) of these, in a frame that the members share; the reference frame's is the identity.
+        include: whether the reference frame is a part.
+    """
+    of_part = {REFERENCE: np.eye(4)} | dict(zip(parts, mounts, strict=True))
+    naming = group.members[named_member(group, include=include)]
+    others = [part for part in group.members if part not in (naming, REFERENCE)]
+    return {part: se3.inverse(of_part[naming]) @ of_part[part] for part in others}
 
 
 def _reading(refined: _Refined, j: int) -> JointReading:
