@@ -8,19 +8,20 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import TypeVar
+from typing import Generic, TypeVar
 
 import numpy as np
 
 from station.fit.parallel import each
 from station.fit.skeleton import Skeleton, TreeModel
+from station.fit.tree_data import TreeData
 from station.fit.tree_elimination import UNOBSERVED, FrameStates, Reduced, eliminated
 from station.fit.tree_equations import equations
 from station.fit.tree_motion import tree_poses
-from station.fit.tree_residuals import Measured, tree_residuals
 from station.logs import FloatArray
 
 Found = TypeVar("Found")
+Data = TypeVar("Data", bound=TreeData)
 
 # Numbers in the arrays of one chunk of frames, 8 bytes each. Fewer, and calls cost more than numbers do.
 CHUNK_NUMBERS = 3_000_000
@@ -31,16 +32,16 @@ HELD_NUMBERS = 15_000_000
 
 
 @dataclass(frozen=True, eq=False)
-class Problem:
+class Problem(Generic[Data]):
     """A branch and what was measured of it, in chunks of frames."""
 
     skeleton: Skeleton
-    measured: Measured
+    measured: Data
 
     @property
     def chunks(self) -> list[slice]:
         """Frames that are worked on at once; in an even number of chunks, so that two cores have the same to do."""
-        T, K = self.measured.seen.shape
+        T, K = self.measured.shape
         n, s = self.skeleton.parameters, self.skeleton.states
         most = max(CHUNK_NUMBERS // (200 * K + (s + 20) * (n + s)), 1)
         count = -(-T // most)
@@ -48,16 +49,16 @@ class Problem:
         return [slice(start, stop) for start, stop in pairwise(ends)]
 
     def chi2(self, model: TreeModel) -> FloatArray:
-        """(T, K) whitened squared residuals."""
+        """(T, C) whitened squared residuals."""
 
         def of_chunk(rows: slice) -> FloatArray:
             poses = tree_poses(self.skeleton, model.take(rows))
-            return tree_residuals(self.measured.take(rows), poses.parts).chi2
+            return self.measured.take(rows).chi2(poses.parts, model.shared)
 
         return np.concatenate(each(of_chunk, self.chunks))
 
     def linearised(self, model: TreeModel, inlier: FloatArray, damping: float) -> Linearised:
-        """Equations at a model, poses weighted by `inlier` (T, K)."""
+        """Equations at a model, what was measured weighted by `inlier` (T, C)."""
 
         def of_chunk(rows: slice) -> tuple[Reduced, FrameStates]:
             found = equations(self.skeleton, model.take(rows), self.measured.take(rows), inlier[rows])

@@ -9,8 +9,8 @@ import numpy as np
 from station.fit.frame_states import with_likely_states
 from station.fit.skeleton import TreeModel, with_moved_states, with_parameters
 from station.fit.tree_noise import spread_of
-from station.fit.tree_problem import Linearised, Problem
-from station.fit.tree_residuals import heat_of, inlier_weights, pose_costs
+from station.fit.tree_problem import Data, Linearised, Problem
+from station.fit.tree_residuals import Measured
 from station.logs import FloatArray
 
 STEPS = 25
@@ -30,8 +30,8 @@ class Solution:
 
     Attributes:
         model: parameters and states.
-        chi2: (T, K) whitened squared residuals.
-        inlier: (T, K) probability that a pose is no outlier.
+        chi2: (T, C) whitened squared residuals.
+        inlier: (T, C) probability that each is no outlier.
         last: equations, of a point as near to the end as makes no difference.
     """
 
@@ -41,7 +41,7 @@ class Solution:
     last: Linearised
 
 
-def solve(problem: Problem, model: TreeModel) -> tuple[Problem, Solution]:
+def solve(problem: Problem[Measured], model: TreeModel) -> tuple[Problem[Measured], Solution]:
     """The likeliest parameters and states; and the problem with the noise that each part turned out to have."""
     solution = _settled(problem, model)
     for _ in range(NOISE_ROUNDS):  # better weights may tell the noise better
@@ -54,32 +54,32 @@ def solve(problem: Problem, model: TreeModel) -> tuple[Problem, Solution]:
     return problem, solution
 
 
-def _settled(problem: Problem, model: TreeModel) -> Solution:
+def _settled(problem: Problem[Measured], model: TreeModel) -> Solution:
     """All refined together; where frames don't fit then, their states sought anew, and again."""
-    solution = _refined(problem, model)
+    solution = refined(problem, model)
     for _ in range(ROUNDS):  # better parameters may tell better states, and these better parameters
-        heat = heat_of(problem.measured, solution.chi2)
+        heat = problem.measured.heat(solution.chi2)
         hot = problem.measured.hotter(heat)
         likely = with_likely_states(problem.skeleton, solution.model, hot, solution.chi2 / heat)
         if likely is solution.model:
             break
-        solution = _refined(problem, likely)
+        solution = refined(problem, likely)
     return solution
 
 
-def _refined(problem: Problem, model: TreeModel) -> Solution:
+def refined(problem: Problem[Data], model: TreeModel) -> Solution:
     """Damped Gauss-Newton from a start."""
-    skeleton, chi2, damping, steps = problem.skeleton, problem.chi2(model), 0.0, 0
+    skeleton, data, chi2, damping, steps = problem.skeleton, problem.measured, problem.chi2(model), 0.0, 0
     while True:
-        heat = heat_of(problem.measured, chi2)
-        hot = problem.measured.hotter(heat)
-        inlier = inlier_weights(hot, chi2 / heat)
+        heat = data.heat(chi2)
+        hot = data.hotter(heat)
+        inlier = hot.weights(chi2 / heat)
         last = replace(problem, measured=hot).linearised(model, inlier, damping)
         step = last.step()
         promise = 2 * last.reduced.promise - float(last.reduced.g @ step)
         tried = with_moved_states(skeleton, with_parameters(skeleton, model, step), last.states_step(step))
         tried_chi2 = problem.chi2(tried)
-        better = np.sum(pose_costs(hot, tried_chi2 / heat) - pose_costs(hot, chi2 / heat)) <= 0
+        better = np.sum(hot.costs(tried_chi2 / heat) - hot.costs(chi2 / heat)) <= 0
         if better:
             model, chi2 = tried, tried_chi2
         steps += 1

@@ -83,7 +83,7 @@ def _refine_branch(skeleton: Skeleton, model: TreeModel, measured: Measured) -> 
     return TreeFit(solution.model, covariance, states, solution.inlier, np.sqrt(scale) * measured.spread)
 
 
-def _scale(problem: Problem, solution: Solution) -> float:
+def _scale(problem: Problem[Measured], solution: Solution) -> float:
     """Variance of whitened residuals, by the numbers measured less those that were fitted."""
     fitted = problem.skeleton.parameters + solution.last.reduced.observed
     freedoms = float(np.sum(solution.inlier * problem.measured.dimensions)) - fitted
