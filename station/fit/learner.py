@@ -40,7 +40,7 @@ from station.fit.result import Fit
 from station.fit.selection import CRITERIA, Scores
 from station.fit.structure import components, outward, shallowest, spanning_forest
 from station.fit.subclusters import merged, singles
-from station.fit.tree_reading import REFERENCE, ReadTree, Structure, named_member, read_tree
+from station.fit.tree_reading import REFERENCE, Structure, TreeReading, named_member, read_tree
 from station.kinematics.tree import Joint, KinematicTree
 from station.logs import FloatArray, JointLog, PoseLog
 
@@ -229,10 +229,11 @@ def _assembled(
     groups, names = structure.groups, structure.parts.names
     body_name = [names[group.members[named_member(group, include=include)]] for group in groups]
     joints_only = replace(options, joint_types=options.joints)
-    trees_read: list[ReadTree] = []
+    trees_read: list[TreeReading] = []
     for root in roots:
         trees_read.append((yield from read_tree(structure, root, joints_only, views, include=include)))
     read = [joint for tree in trees_read for joint in tree.joints]
+    mounts = {names[part]: T for tree in trees_read for part, T in tree.mounts.items()}
     joints = [
         _scored(r.joint(body_name[a], body_name[b], scores, i), scores, i, options) for a, b, r, scores, i in read
     ]
@@ -251,6 +252,7 @@ def _assembled(
         joints=tuple(joints),
         method={"name": options.method, "criterion": options.criterion, "joint_types": list(options.joint_types)},
         warnings=remarks(log, joints, readings, trees, told),
+        mounts=mounts,
     )
     images = [tree.image for tree in trees_read if tree.image is not None]
     return Fit(tree, _states(log, joints, readings), joined(images) if images else None)

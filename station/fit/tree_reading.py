@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -28,7 +29,7 @@ from station.logs import FloatArray
 
 BoolArray = NDArray[np.bool_]
 
-__all__ = ["REFERENCE", "ReadTree", "Structure", "named_member", "read_tree"]
+__all__ = ["REFERENCE", "Structure", "TreeReading", "named_member", "read_tree"]
 
 
 def named_member(group: Group, *, include: bool) -> int:
@@ -79,25 +80,31 @@ class _Refined:
 
 
 @dataclass(frozen=True, eq=False)
-class ReadTree:
-    """One tree as it was read.
+class TreeReading:
+    """What a tree's fit tells.
 
     Attributes:
-        joints: (parent, child, reading, scores, row of the scores) of each, from the root outward.
+        joints: (parent, child, reading, scores, row of the scores) of each, from the root outward; ends are bodies.
+        mounts: T_body_part (4, 4) of further trackers by part, in the frames of the bodies' naming parts.
         image: the corners against the tree, if it was refined on them.
     """
 
-    joints: list[tuple[int, int, JointReading, Scores, int]]
-    image: ImageFit | None
+    joints: tuple[tuple[int, int, JointReading, Scores, int], ...]
+    mounts: Mapping[int, FloatArray]
+    image: ImageFit | None = None
 
 
 def read_tree(
     structure: Structure, root: int, options: FitOptions, views: Views | None, *, include: bool
-) -> Asking[ReadTree]:
-    """The tree of a body, fitted to the poses, and to the corners too if there are views of its parts."""
+) -> Asking[TreeReading]:
+    """The joints of a tree from the root outward, and where further trackers sit on its bodies.
+
+    The tree is fitted to the poses, and to the corners too if there are views of its parts.
+    """
     order = [(a, b) for a, b, _ in outward(root, structure.edges)]
     if not order:
-        return ReadTree([], None)
+        group = structure.groups[root]
+        return TreeReading((), _mounts(group, group.members, group.mounts, include=include))
     start = yield from tree_start(structure, root, options)
     fit = refine_tree(
         start.skeleton,
@@ -112,7 +119,10 @@ def read_tree(
     names = [(start.bodies[joint.parent], start.bodies[joint.child]) for joint in start.skeleton.joints]
     rows = [names.index(pair) for pair in order]
     joints = [(a, b, _reading(refined, j).settled(), start.scores, j) for (a, b), j in zip(order, rows, strict=True)]
-    return ReadTree(joints, image)
+    mounts: dict[int, FloatArray] = {}
+    for k in start.bodies:
+        mounts |= _mounts(structure.groups[k], start.parts, fit.model.mounts, include=include)
+    return TreeReading(tuple(joints), mounts, image)
 
 
 def _refined_on_corners(
@@ -129,6 +139,21 @@ def _seen(views: Views) -> BoolArray:
     found = np.zeros((len(views.t_s), len(views.parts)), dtype=bool)
     found[views.frame, views.part[views.marker]] = True
     return found
+
+
+def _mounts(group: Group, parts: Sequence[int], mounts: FloatArray, *, include: bool) -> dict[int, FloatArray]:
+    """T_body_part (4, 4) of a group's members but the one that names it, in that one's frame.
+
+    Args:
+        group: of parts.
+        parts: P of all parts.
+        mounts: (P, 4, 4) of these, in a frame that the members share; the reference frame's is the identity.
+        include: whether the reference frame is a part.
+    """
+    of_part = {REFERENCE: np.eye(4)} | dict(zip(parts, mounts, strict=True))
+    naming = group.members[named_member(group, include=include)]
+    others = [part for part in group.members if part not in (naming, REFERENCE)]
+    return {part: se3.inverse(of_part[naming]) @ of_part[part] for part in others}
 
 
 def _reading(refined: _Refined, j: int) -> JointReading:
