@@ -1,7 +1,8 @@
 """Corners of markers on a tree's parts, whitened, as the least squares on a tree ask for them.
 
-A sighting is drawn from the corners' own covariance, or, an outlier, from one `OUTLIER_FACTOR` times as wide: a marker
-half hidden, a reflex, a wrong decoding. Each marker's deviations have a scale of their own beside those stated.
+A sighting is drawn from the corners' own covariance, or, an outlier, from one of a ladder of wider ones: a marker
+half hidden, a reflex, a wrong decoding. So the farther off, the less it pulls. Each marker's deviations have a scale
+of their own beside those stated.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import expit
+from scipy.special import logsumexp, softmax
 from scipy.stats import chi2 as chi2_distribution
 
 from station.fit.image.camera_numbers import Unknowns
@@ -23,9 +24,10 @@ from station.logs import FloatArray
 
 BoolArray = NDArray[np.bool_]
 
-# Share of outliers, and how many times as far off their corners are.
-OUTLIER_SHARE, OUTLIER_FACTOR = 0.02, 10.0
-LOG_ODDS = float(np.log((1 - OUTLIER_SHARE) / OUTLIER_SHARE) + COORDINATES * np.log(OUTLIER_FACTOR))
+# Deviations of sightings as multiples of their own, and how many have them.
+LADDER = np.array([1.0, 5.0, 25.0, 125.0, 625.0])
+SHARES = np.array([0.97, 0.012, 0.008, 0.005, 0.005])
+LOG_DENSITIES = np.log(SHARES) - COORDINATES * np.log(LADDER)
 # Squared residual up to which the better corners' usually are.
 USUAL = float(chi2_distribution.ppf(BETTER_SHARE, COORDINATES))
 # Residual of a corner that the model puts behind the camera.
@@ -158,18 +160,25 @@ class CornerData:
 
     def inliers(self, chi2: FloatArray) -> FloatArray:
         """(T, M) probability that a sighting is no outlier; 0 unseen."""
-        odds = LOG_ODDS - 0.5 * chi2 * (1 - OUTLIER_FACTOR**-2)
-        return np.asarray(expit(odds), dtype=np.float64) * self.seen
+        return _probabilities(chi2)[0] * self.seen
 
     def weights(self, chi2: FloatArray) -> FloatArray:
         """(T, M) what squared residuals count: those of an outlier little, but they still pull."""
-        inlier = self.inliers(chi2)
-        return inlier + (self.seen - inlier) * OUTLIER_FACTOR**-2
+        return np.tensordot(LADDER**-2, _probabilities(chi2), 1) * self.seen
 
     def costs(self, chi2: FloatArray) -> FloatArray:
         """(T, M) -2 log likelihood of each sighting, but for a constant."""
-        outlier = -LOG_ODDS - 0.5 * chi2 * OUTLIER_FACTOR**-2
-        return -2 * np.logaddexp(-0.5 * chi2, outlier) * self.seen
+        return -2 * np.asarray(logsumexp(_log_densities(chi2), axis=0)) * self.seen
+
+
+def _log_densities(chi2: FloatArray) -> FloatArray:
+    """(5, T, M) of the ladder's steps."""
+    return LOG_DENSITIES[:, None, None] - 0.5 * chi2 * LADDER[:, None, None] ** -2
+
+
+def _probabilities(chi2: FloatArray) -> FloatArray:
+    """(5, T, M) that a sighting is of each step of the ladder."""
+    return np.asarray(softmax(_log_densities(chi2), axis=0), dtype=np.float64)
 
 
 def corner_data(views: Views, parts: tuple[str, ...], unknowns: Unknowns) -> CornerData:
