@@ -44,7 +44,6 @@ class CornerData:
         part: (M,) which of the tree's parts each is on.
         seen: (T, M).
         px: (T, M, 4, 2) corners.
-        by_shift_px: (T, M, 4, 2) their motion by the edge shift.
         whitener: (T, M, 8, 8) W with W^T W the inverse covariance as stated; zero unseen.
         motion: for a rolling shutter; None without.
         scale: (M,) deviations as multiples of those stated.
@@ -55,7 +54,6 @@ class CornerData:
     part: IntArray
     seen: BoolArray
     px: FloatArray
-    by_shift_px: FloatArray
     whitener: FloatArray
     motion: Motion | None
     scale: FloatArray
@@ -71,7 +69,6 @@ class CornerData:
             self,
             seen=self.seen[rows],
             px=self.px[rows],
-            by_shift_px=self.by_shift_px[rows],
             whitener=self.whitener[rows],
             motion=None if self.motion is None else self.motion.take(rows),
         )
@@ -87,7 +84,7 @@ class CornerData:
     def residual_px(self, T_ref_part: FloatArray, shared: FloatArray) -> FloatArray:
         """(T, M, 8) measured less model; 0 unseen."""
         numbers = self.unknowns.at(shared)
-        px = projected(self.views.camera, numbers, self.places(T_ref_part, numbers.readout_s), self.by_shift_px)
+        px = projected(self.views.camera, numbers, self.places(T_ref_part, numbers.readout_s))
         return self._less(px)
 
     def _less(self, px: FloatArray) -> FloatArray:
@@ -111,9 +108,9 @@ class CornerData:
         """
         numbers = self.unknowns.at(shared)
         p_ref = self.places(T_ref_part, numbers.readout_s)
-        found = with_derivatives(self.views.camera, numbers, p_ref, self.by_shift_px)
+        found = with_derivatives(self.views.camera, numbers, p_ref)
         of_camera = {
-            "edge_shift_px": lambda: self.by_shift_px,
+            "edge_shift_px": lambda: found.by_shift_px,
             "focal": lambda: found.from_centre_px / numbers.focal,
             "readout_s": lambda: self._by_readout(T_ref_part, numbers.readout_s, found.by_place),
         }
@@ -187,12 +184,12 @@ def corner_data(views: Views, parts: tuple[str, ...], unknowns: Unknowns) -> Cor
     shape = len(some.t_s), len(some.marker_id)
     at = some.frame, some.marker
     seen = np.zeros(shape, dtype=bool)
-    px, by_shift_px = np.zeros((*shape, CORNERS, 2)), np.zeros((*shape, CORNERS, 2))
+    px = np.zeros((*shape, CORNERS, 2))
     whitener = np.zeros((*shape, COORDINATES, COORDINATES))
-    seen[at], px[at], by_shift_px[at] = True, some.corners_px, some.by_shift_px
+    seen[at], px[at] = True, some.corners_px
     if len(some):
         whitener[at] = np.linalg.inv(np.linalg.cholesky(some.covariance_px2))
     rolling = unknowns.given.readout_s > 0 or "readout_s" in unknowns.names
     row = px[..., 1] / some.camera.size_px[1] - 0.5
     motion = motion_of(some.t_s, row, seen) if rolling else None
-    return CornerData(unknowns, some, some.part, seen, px, by_shift_px, whitener, motion, np.ones(shape[1]))
+    return CornerData(unknowns, some, some.part, seen, px, whitener, motion, np.ones(shape[1]))

@@ -81,7 +81,6 @@ def _joined_views(several: Sequence[Views]) -> Views:
         marker=marker[order],
         corners_px=np.concatenate([views.corners_px for views in several])[order],
         covariance_px2=np.concatenate([views.covariance_px2 for views in several])[order],
-        by_shift_px=np.concatenate([views.by_shift_px for views in several])[order],
         T_ref_part=np.concatenate([views.T_ref_part for views in several])[order],
         camera=several[0].camera,
         readout_s=several[0].readout_s,
