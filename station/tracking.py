@@ -16,7 +16,6 @@ from station.perception import pose
 from station.perception.choice import Choice, choose_over_time, chosen_poses
 from station.perception.corner_noise import evidence_weights, total_covariance
 from station.perception.corners import Detections
-from station.perception.edges import edge_shift_jacobian
 from station.perception.hypotheses import PoseHypotheses, estimate_hypotheses, part_of_row
 from station.perception.joint_covariance import joint_covariance
 from station.perception.marker_tracker import MarkerTracker
@@ -172,7 +171,6 @@ def views_of(
         marker=marker[rows],
         corners_px=observations.corners_px[rows],
         covariance_px2=covariance_px2[rows],
-        by_shift_px=edge_shift_jacobian(observations.corners_px[rows]),
         T_ref_part=observations.T_cam_marker[rows] @ se3.inverse(mounts[marker[rows]])[:, None],
         camera=camera,
         readout_s=(camera.readout_s or 0.0) if readout_s is None else readout_s,

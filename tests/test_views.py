@@ -9,7 +9,6 @@ from calibration.intrinsics import project
 from station.fit.image.views import Views
 from station.kinematics import se3
 from station.perception.corner_noise import total_covariance
-from station.perception.edges import shift_edges
 from station.perception.markers import Marker, MarkerTable
 from station.perception.observations import ObservationLog
 from station.tracking import views_of
@@ -65,13 +64,6 @@ def test_views_leave_out_markers_that_are_in_no_table_and_keep_every_frame() -> 
     assert views.parts == ("box",)
     assert set(views.marker_id[views.marker].tolist()) == {3, 5}
     np.testing.assert_array_equal(views.t_s, observations.t_s)
-
-
-def test_corners_move_with_a_shift_of_edges_as_the_views_say() -> None:
-    observations, _ = seen()
-    views = views_of(observations, TABLE, CAMERA)
-    moved = shift_edges(views.corners_px, 0.2)
-    np.testing.assert_allclose(moved - views.corners_px, 0.2 * views.by_shift_px, atol=1e-9)
 
 
 @pytest.mark.parametrize(("sigma_px", "readout_s"), [(None, None), (0.07, 0.02)])

@@ -10,6 +10,8 @@ from station.fit.selection import FREE, check_criterion
 from station.kinematics.joints import JOINT_TYPES
 
 METHODS = ("station", "paper")
+# What the whole tree is refined on: the corners, the poses, or nothing, which leaves the pairs' joints.
+REFINEMENTS = ("image", "pose", "none")
 
 
 @dataclass(frozen=True)
@@ -22,6 +24,9 @@ class FitOptions:
         joint_types: the candidates; "free", the hypothesis that nothing joins two parts, may be one of them.
         root: part whose body becomes the root; None lets the fit choose.
         include_reference: whether the log's reference frame is a part; it always is when there is but one other.
+        refine: what the whole tree is refined on, one of `REFINEMENTS`; None is "image" where corners are known, else
+            "pose".
+        camera_numbers: of `CameraNumbers`, those that are estimated where the tree is refined on corners.
     """
 
     method: str = "station"
@@ -29,6 +34,8 @@ class FitOptions:
     joint_types: tuple[str, ...] = ("rigid", "prismatic", "revolute")
     root: str | None = None
     include_reference: bool = False
+    refine: str | None = None
+    camera_numbers: tuple[str, ...] = ("edge_shift_px",)
 
     @property
     def free(self) -> bool:
@@ -45,6 +52,8 @@ def check_options(options: FitOptions, names: Sequence[str]) -> None:
     """Raise InvalidData for what doesn't exist, with the choices; `names` are those of the parts."""
     if options.method not in METHODS:
         raise InvalidData(f"method '{options.method}' is unknown; choose one of {', '.join(METHODS)}")
+    if options.refine not in (*REFINEMENTS, None):
+        raise InvalidData(f"can't refine on '{options.refine}'; choose one of {', '.join(REFINEMENTS)}")
     check_criterion(options.criterion)
     _check_joint_types(options)
     if options.root is not None and options.root not in names:

@@ -32,11 +32,35 @@ HELD_NUMBERS = 15_000_000
 
 
 @dataclass(frozen=True, eq=False)
+class Prior:
+    """What is known of the numbers that all parts share before anything is measured: values and deviations (e,)."""
+
+    values: FloatArray
+    std: FloatArray
+
+    def cost(self, shared: FloatArray) -> float:
+        """-2 log density of shared numbers (e,), but for a constant."""
+        return float(np.sum(((shared - self.values) / self.std) ** 2))
+
+    def equations(self, skeleton: Skeleton, shared: FloatArray) -> Reduced:
+        """As if it had been measured."""
+        n, columns = skeleton.parameters, skeleton.shared_columns
+        information, g = np.zeros(n), np.zeros(n)
+        information[columns] = self.std**-2.0
+        g[columns] = (shared - self.values) * information[columns]
+        return Reduced(np.diag(information), g, information, 0.0, 0.0)
+
+
+NO_PRIOR = Prior(np.zeros(0), np.zeros(0))
+
+
+@dataclass(frozen=True, eq=False)
 class Problem(Generic[Data]):
     """A branch and what was measured of it, in chunks of frames."""
 
     skeleton: Skeleton
     measured: Data
+    prior: Prior = NO_PRIOR
 
     @property
     def chunks(self) -> list[slice]:
@@ -75,8 +99,8 @@ class Problem(Generic[Data]):
         chunks = self.chunks
         share = -(-len(chunks) // GROUPS)
         found = each(of_group, [chunks[i : i + share] for i in range(0, len(chunks), share)])
-        total = found[0][0]
-        for reduced, _ in found[1:]:
+        total = self.prior.equations(self.skeleton, model.shared)
+        for reduced, _ in found:
             total = total.plus(reduced)
         held = tuple(states for _, group in found for states in group)
         return Linearised(total, damping, tuple(chunks), held, lambda rows: of_chunk(rows)[1])

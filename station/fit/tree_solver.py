@@ -79,13 +79,14 @@ def refined(problem: Problem[Data], model: TreeModel) -> Solution:
         promise = 2 * last.reduced.promise - float(last.reduced.g @ step)
         tried = with_moved_states(skeleton, with_parameters(skeleton, model, step), last.states_step(step))
         tried_chi2 = problem.chi2(tried)
-        better = np.sum(hot.costs(tried_chi2 / heat) - hot.costs(chi2 / heat)) <= 0
+        dearer = float(np.sum(hot.costs(tried_chi2 / heat) - hot.costs(chi2 / heat)))
+        better = dearer + problem.prior.cost(tried.shared) - problem.prior.cost(model.shared) <= 0
         if better:
             model, chi2 = tried, tried_chi2
         steps += 1
         if promise <= SETTLED or steps == STEPS:
             break
-        damping = _damping(damping, better=bool(better))
+        damping = _damping(damping, better=better)
         del last  # the largest of all; there is no room for two
     return Solution(model, chi2, inlier, last if damping == 0 else problem.linearised(model, inlier, 0.0))
 

@@ -79,7 +79,7 @@ def _refine_branch(skeleton: Skeleton, model: TreeModel, measured: Measured) -> 
     measured, scale = problem.measured, _scale(problem, solution)
     covariance = parameter_covariance(solution.last.reduced.H, solution.last.reduced.unreduced) * scale
     covariance *= _repeats(skeleton, measured, solution)
-    states = _state_covariances(skeleton, solution.last, covariance, scale)
+    states = state_covariances(skeleton, solution.last, covariance, scale)
     return TreeFit(solution.model, covariance, states, solution.inlier, np.sqrt(scale) * measured.spread)
 
 
@@ -94,15 +94,24 @@ def _scale(problem: Problem[Measured], solution: Solution) -> float:
 def _repeats(skeleton: Skeleton, measured: Measured, solution: Solution) -> float:
     """Frames in which an error repeats itself: what is shared by all frames is known so much less; at least 1."""
     whitened = tree_residuals(measured, tree_poses(skeleton, solution.model).parts).whitened
-    good = solution.inlier > INLIER_ABOVE
-    frames, times = good.sum(axis=0), np.ones(len(skeleton.body_of))
+    return repeats(whitened, solution.inlier > INLIER_ABOVE, measured.dimensions.max(axis=0))
+
+
+def repeats(whitened: FloatArray, good: BoolArray, dimensions: FloatArray) -> float:
+    """Frames in which an error repeats itself, of C things measured: their mean over all that count, at least 1.
+
+    Args:
+        whitened: (T, C, D) residuals.
+        good: (T, C) what counts.
+        dimensions: (C,) numbers measured of each in a frame.
+    """
+    frames, times = good.sum(axis=0), np.ones(good.shape[1])
     for k in np.flatnonzero(frames):  # memory asks for this loop
-        dimensions = measured.dimensions[:, k].max(keepdims=True)
-        times[k] = time_of_correlation(whitened[None, :, k], good[None, :, k], dimensions)[0]
+        times[k] = time_of_correlation(whitened[None, :, k], good[None, :, k], dimensions[k : k + 1])[0]
     return float(np.sum(frames * times) / max(np.sum(frames), 1))
 
 
-def _state_covariances(
+def state_covariances(
     skeleton: Skeleton, last: Linearised, covariance: FloatArray, scale: float
 ) -> tuple[FloatArray, ...]:
     """(T, s, s) of each joint's states: their own, and what they share, less its part that is the same in all frames.

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import astuple, dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,3 +40,58 @@ class ImageFit:
     inlier: FloatArray
     scale: FloatArray
     doubtful: BoolArray
+
+
+def joined(fits: Sequence[ImageFit]) -> ImageFit:
+    """The corners of several trees together, sightings in the order of frames.
+
+    Each tree tells the camera's numbers by itself; here they are the means, weighted by their variances.
+    """
+    if len(fits) == 1:
+        return fits[0]
+    views = _joined_views([fit.views for fit in fits])
+    order = np.argsort(np.concatenate([fit.views.frame for fit in fits]), kind="stable")
+    numbers, numbers_std = _mean_numbers(fits)
+    return ImageFit(
+        views=views,
+        T_ref_part=np.concatenate([fit.T_ref_part for fit in fits], axis=1),
+        numbers=numbers,
+        numbers_std=numbers_std,
+        residual_px=np.concatenate([fit.residual_px for fit in fits])[order],
+        chi2=np.concatenate([fit.chi2 for fit in fits])[order],
+        inlier=np.concatenate([fit.inlier for fit in fits])[order],
+        scale=np.concatenate([fit.scale for fit in fits]),
+        doubtful=np.concatenate([fit.doubtful for fit in fits])[order],
+    )
+
+
+def _joined_views(several: Sequence[Views]) -> Views:
+    first_part = np.cumsum([0, *(len(views.parts) for views in several[:-1])])
+    first_marker = np.cumsum([0, *(len(views.marker_id) for views in several[:-1])])
+    frame = np.concatenate([views.frame for views in several])
+    order = np.argsort(frame, kind="stable")
+    marker = np.concatenate([views.marker + n for views, n in zip(several, first_marker, strict=True)])
+    return Views(
+        t_s=several[0].t_s,
+        parts=tuple(part for views in several for part in views.parts),
+        marker_id=np.concatenate([views.marker_id for views in several]),
+        part=np.concatenate([views.part + n for views, n in zip(several, first_part, strict=True)]),
+        points_m=np.concatenate([views.points_m for views in several]),
+        frame=frame[order],
+        marker=marker[order],
+        corners_px=np.concatenate([views.corners_px for views in several])[order],
+        covariance_px2=np.concatenate([views.covariance_px2 for views in several])[order],
+        T_ref_part=np.concatenate([views.T_ref_part for views in several])[order],
+        camera=several[0].camera,
+        readout_s=several[0].readout_s,
+    )
+
+
+def _mean_numbers(fits: Sequence[ImageFit]) -> tuple[CameraNumbers, CameraNumbers]:
+    values = np.array([astuple(fit.numbers) for fit in fits])
+    weights = np.array([astuple(fit.numbers_std) for fit in fits]) ** -2.0
+    estimated = np.isfinite(weights[0])
+    known = np.where(estimated, weights, 1.0)
+    mean = np.sum(known * values, axis=0) / known.sum(axis=0)
+    deviation = np.where(estimated, known.sum(axis=0) ** -0.5, np.nan)
+    return CameraNumbers(*mean.tolist()), CameraNumbers(*deviation.tolist())

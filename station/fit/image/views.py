@@ -37,7 +37,6 @@ class Views:
         marker: (N,) which of the markers.
         corners_px: (N, 4, 2) as detected: distorted, with the edge shift in them, each row at its own time.
         covariance_px2: (N, 8, 8) of the coordinates u0, v0, u1, ...
-        by_shift_px: (N, 4, 2) how corners move, per px by which all edges of the marker are seen outward.
         T_ref_part: (N, 2, 4, 4) the part's pose in the camera by both solutions of that marker, the likelier first; NaN
             where there is none.
         camera: that saw them.
@@ -58,7 +57,6 @@ class Views:
     marker: IntArray
     corners_px: FloatArray
     covariance_px2: FloatArray
-    by_shift_px: FloatArray
     T_ref_part: FloatArray
     camera: CameraModel
     readout_s: float = 0.0
@@ -66,7 +64,7 @@ class Views:
     def __post_init__(self) -> None:
         for name in ("marker_id", "part", "frame", "marker"):
             object.__setattr__(self, name, _frozen_ints(getattr(self, name)))
-        for name in ("t_s", "points_m", "corners_px", "covariance_px2", "by_shift_px", "T_ref_part"):
+        for name in ("t_s", "points_m", "corners_px", "covariance_px2", "T_ref_part"):
             object.__setattr__(self, name, frozen_floats(getattr(self, name)))
         check_times(self.t_s)
         self._check_shapes()
@@ -80,7 +78,6 @@ class Views:
             "marker": (N,),
             "corners_px": (N, CORNERS, 2),
             "covariance_px2": (N, COORDINATES, COORDINATES),
-            "by_shift_px": (N, CORNERS, 2),
             "T_ref_part": (N, SOLUTIONS, 4, 4),
         }
         for name, shape in want.items():
@@ -98,7 +95,7 @@ class Views:
             raise InvalidData("views: frames must not fall")
         if len(np.unique(self.frame * len(self.marker_id) + self.marker)) != len(self.frame):
             raise InvalidData("views: a marker appears twice in one frame")
-        for name in ("points_m", "corners_px", "covariance_px2", "by_shift_px"):
+        for name in ("points_m", "corners_px", "covariance_px2"):
             if not np.all(np.isfinite(getattr(self, name))):
                 raise InvalidData(f"views: {name} must be finite")
 
@@ -123,7 +120,6 @@ class Views:
             np.searchsorted(markers, self.marker[rows]),
             self.corners_px[rows],
             self.covariance_px2[rows],
-            self.by_shift_px[rows],
             self.T_ref_part[rows],
             self.camera,
             self.readout_s,

@@ -16,7 +16,6 @@ from calibration.intrinsics import CameraModel
 from station.fit.image.views import Views
 from station.kinematics.tree import KinematicTree
 from station.logs import BoolArray, FloatArray, JointLog, PoseLog
-from station.perception.edges import edge_shift_jacobian
 from station.perception.joint_covariance import joint_covariance
 from station.perception.markers import Marker, MarkerTable
 from station.perception.observations import ObservationLog
@@ -167,7 +166,6 @@ def watch(rng: np.random.Generator, seen: SeenObject, seeing: Seeing) -> Watched
         marker[rows],
         px[rows],
         seeing.stated**2 * covariance[rows],
-        edge_shift_jacobian(px[rows]),
         both.T_cam_marker[rows] @ inverse(seen.T_part_marker)[marker[rows], None],
         told,
         told.readout_s or 0.0,

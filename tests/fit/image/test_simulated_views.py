@@ -9,7 +9,7 @@ import pytest
 
 from calibration.intrinsics import project
 from station.kinematics import se3
-from station.perception.edges import shift_edges
+from station.quadrilaterals import shift_edges
 from station.tracking import views_of
 from tests.fit.image.seen_objects import Scene, pixels, tilts
 from tests.fit.image.simulated_views import Seeing, Watched, corners_px, shifted, watched
@@ -42,7 +42,7 @@ def test_views_are_those_of_the_stations_own_tracking() -> None:
     assert own.parts == found.views.parts
     for name in ("t_s", "marker_id", "part", "frame", "marker"):
         np.testing.assert_array_equal(getattr(own, name), getattr(found.views, name))
-    for name in ("points_m", "corners_px", "covariance_px2", "by_shift_px", "T_ref_part"):
+    for name in ("points_m", "corners_px", "covariance_px2", "T_ref_part"):
         np.testing.assert_allclose(getattr(own, name), getattr(found.views, name), atol=1e-12)
 
 
