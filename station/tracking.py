@@ -9,6 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.intrinsics import CameraModel
+from station.fit.image.views import Views
+from station.kinematics import se3
 from station.logs import FloatArray, PoseLog
 from station.perception import pose
 from station.perception.choice import Choice, choose_over_time, chosen_poses
@@ -20,8 +22,8 @@ from station.perception.marker_tracker import MarkerTracker
 from station.perception.markers import MarkerTable
 from station.perception.neighbours import choose_by_neighbours
 from station.perception.observations import FrameMarkers, ObservationBuilder, ObservationLog
-from station.perception.pose import MarkerPoses, estimate_poses
-from station.perception.rolling_shutter import at_frame_time
+from station.perception.pose import UNIT_CORNERS, MarkerPoses, estimate_poses
+from station.perception.rolling_shutter import at_frame_time, straightened
 
 
 def observe(detections: Detections, table: MarkerTable, camera: CameraModel) -> FrameMarkers:
@@ -117,6 +119,7 @@ def track_parts(
     covariance_px2 = total_covariance(observations, table.sizes_m(observations.marker_id), camera, sigma_px)
     weight = evidence_weights(observations)
     if readout_s:
+        observations = straightened(observations, camera.size_px[1], readout_s)
         observations, covariance_px2 = at_frame_time(observations, covariance_px2, camera.size_px[1], readout_s)
     hypotheses = estimate_hypotheses(observations, table, camera, covariance_px2, weight)
     return TrackedParts(hypotheses, choose_by_neighbours(hypotheses, choose_over_time(hypotheses)))
@@ -132,3 +135,48 @@ def estimate_pose_log(
 ) -> PoseLog:
     """The poses of `track_parts` alone."""
     return track_parts(observations, table, camera, sigma_px=sigma_px, readout_s=readout_s).poses
+
+
+def views_of(
+    observations: ObservationLog,
+    table: MarkerTable,
+    camera: CameraModel,
+    *,
+    sigma_px: float | None = None,
+    readout_s: float | None = None,
+) -> Views:
+    """A log's corners as a fit in the image takes them: on their parts, as detected, each with its covariance.
+
+    Markers that aren't in the table are left out; frames stay all. What a rolling shutter does to edges is taken out,
+    each corner stays at its own row's time.
+
+    Args:
+        observations: corners, times, and poses by this very camera.
+        table: the result's markers and parts are its, in its order.
+        camera: the camera that saw them; what it says of its edge shift and its focal lengths are priors.
+        sigma_px: standard deviation of a corner coordinate, as for `track_parts`.
+        readout_s: time from the first to the last row of a rolling shutter; the camera's own if None.
+    """
+    readout_s = (camera.readout_s or 0.0) if readout_s is None else readout_s
+    covariance_px2 = total_covariance(observations, table.sizes_m(observations.marker_id), camera, sigma_px)
+    if readout_s:
+        observations = straightened(observations, camera.size_px[1], readout_s)
+    marker = table.rows(observations.marker_id)
+    rows = np.flatnonzero(marker >= 0)
+    mounts = np.stack([each.mount for each in table.markers])
+    sides_m = np.array([each.size_m for each in table.markers])[:, None, None]
+    points_m = (sides_m * UNIT_CORNERS) @ np.swapaxes(mounts[:, :3, :3], -1, -2) + mounts[:, None, :3, 3]
+    return Views(
+        t_s=observations.t_s,
+        parts=table.parts,
+        marker_id=np.array([each.id for each in table.markers], dtype=np.int64),
+        part=np.array([table.parts.index(each.part) for each in table.markers], dtype=np.int64),
+        points_m=points_m,
+        frame=observations.frame[rows],
+        marker=marker[rows],
+        corners_px=observations.corners_px[rows],
+        covariance_px2=covariance_px2[rows],
+        T_ref_part=observations.T_cam_marker[rows] @ se3.inverse(mounts[marker[rows]])[:, None],
+        camera=camera,
+        readout_s=readout_s,
+    )

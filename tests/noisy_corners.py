@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from calibration.intrinsics import FloatArray
-from station.perception.edges import edges_of, intersect_edges
+from station.quadrilaterals import edges_of, intersect_edges
 
 
 def independent(px: FloatArray, sigma_px: float, rng: np.random.Generator) -> FloatArray:

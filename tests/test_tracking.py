@@ -17,12 +17,12 @@ from station.perception.corner_noise import (
     total_covariance,
 )
 from station.perception.corners import Detections
-from station.perception.edges import shift_edges
 from station.perception.hypotheses import PoseHypotheses
 from station.perception.joint_covariance import joint_covariance
 from station.perception.markers import Marker, MarkerTable
 from station.perception.observations import ObservationBuilder, ObservationLog
 from station.perception.pose import UNIT_CORNERS, estimate_poses, squared_corner_errors
+from station.quadrilaterals import shift_edges
 from station.simulate.render import SceneRenderer
 from station.simulate.scene import CameraOptics, Plate
 from station.tracking import (

@@ -233,6 +233,7 @@ def _without(draft: Draft, gone: Sequence[str]) -> Draft:
         rigid_groups=tuple(group for group in tree.rigid_groups if not set(group) & lost),
         trees=(tuple(name for name in draft.parts if name not in lost),),
         joints=tuple(joint for joint in tree.joints if joint.child not in lost),
+        mounts={name: T for name, T in tree.mounts.items() if name not in lost},
     )
     markers = tuple(marker for marker in draft.markers if marker.part not in lost)
     return replace(
@@ -248,6 +249,7 @@ def _renamed(tree: KinematicTree, named: Callable[[str], str]) -> KinematicTree:
         rigid_groups=tuple(tuple(map(named, group)) for group in tree.rigid_groups),
         trees=tuple(tuple(map(named, names)) for names in tree.trees),
         joints=tuple(replace(joint, parent=named(joint.parent), child=named(joint.child)) for joint in tree.joints),
+        mounts={named(name): T for name, T in tree.mounts.items()},
     )
 
 

@@ -30,10 +30,11 @@ WITHIN_M, SHARE = 50 * ROUNDING, 1e-3
 
 @dataclass(frozen=True)
 class Copies:
-    """A log without its copies, and which part each copy repeats."""
+    """A log without its copies, which part each copy repeats, and where it is on that, (4, 4)."""
 
     log: PoseLog
     repeats: Mapping[str, str]
+    offsets: Mapping[str, FloatArray]
 
     def original(self, part: str | None) -> str | None:
         """The part that stands for this one."""
@@ -57,8 +58,13 @@ class Copies:
             f"{copy} repeats {self.repeats[copy]} at a fixed offset, to rounding: the two are counted as one tracker"
             for copy in copies
         )
+        mounts = dict(fit.tree.mounts)
+        for copy in copies:
+            if (original := self.repeats[copy]) in fit.tree.bodies or original in mounts:
+                mounts[copy] = mounts.get(original, np.eye(4)) @ self.offsets[copy]
         tree = replace(
             fit.tree,
+            mounts=mounts,
             parts=order,
             rigid_groups=tuple(in_order),
             warnings=(*told, *fit.tree.warnings),
@@ -78,7 +84,7 @@ def without_copies(log: PoseLog) -> Copies:
         if _repeats(_changes(offset), _changes(T_ref_part[both, b])):
             repeats[b] = a, offset[0]
     if not repeats:
-        return Copies(log, {})
+        return Copies(log, {}, {})
     kept = [k for k in range(len(log.parts)) if k not in repeats]
     poses = T_ref_part.copy()
     covariance = None if log.covariance is None else log.covariance.copy()
@@ -94,7 +100,11 @@ def without_copies(log: PoseLog) -> Copies:
         poses[:, kept],
         None if covariance is None else covariance[:, kept],
     )
-    return Copies(rest, {log.parts[b]: log.parts[a] for b, (a, _) in repeats.items()})
+    return Copies(
+        rest,
+        {log.parts[b]: log.parts[a] for b, (a, _) in repeats.items()},
+        {log.parts[b]: T_a_b for b, (_, T_a_b) in repeats.items()},
+    )
 
 
 def _alike(T_ref_part: FloatArray, seen: BoolArray) -> list[tuple[int, int]]:

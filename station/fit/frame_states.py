@@ -19,7 +19,7 @@ from station.fit.skeleton import Skeleton, TreeJoint, TreeModel, with_moved_stat
 from station.fit.tree_elimination import UNOBSERVED
 from station.fit.tree_equations import equations
 from station.fit.tree_motion import tree_poses
-from station.fit.tree_residuals import Measured, inlier_weights, pose_costs, tree_residuals
+from station.fit.tree_residuals import Measured
 from station.kinematics import se3
 from station.kinematics.joints import JointFrames
 from station.logs import FloatArray
@@ -31,8 +31,8 @@ IntArray = NDArray[np.intp]
 STUDENT_FREEDOMS = 3.0
 ROUNDS = 10
 DAMPING_START, DAMPING_FALL, DAMPING_RISE = 1e-4, 0.1, 10.0
-# In -2 log likelihood of a frame: less is no other answer.
-BETTER = 1.0
+# In -2 log likelihood of a frame: less is no other answer; a search is over where steps promise no more than this.
+BETTER, FOUND = 1.0, 0.01
 # Frames that are worked on at once.
 FRAMES_AT_ONCE = 1000
 
@@ -59,16 +59,16 @@ def with_likely_states(skeleton: Skeleton, model: TreeModel, measured: Measured,
 
 def _odd(measured: Measured, chi2: FloatArray) -> BoolArray:
     """(T,) some part was seen and is no inlier."""
-    return np.any(measured.seen & (inlier_weights(measured, chi2) < INLIER_ABOVE), axis=-1)
+    return np.any(measured.seen & (measured.weights(chi2) < INLIER_ABOVE), axis=-1)
 
 
 def _chi2(skeleton: Skeleton, model: TreeModel, measured: Measured) -> FloatArray:
-    return tree_residuals(measured, tree_poses(skeleton, model).parts).chi2
+    return measured.chi2(tree_poses(skeleton, model).parts, model.shared)
 
 
 def _cost(skeleton: Skeleton, model: TreeModel, measured: Measured) -> FloatArray:
     """(T,) -2 log likelihood."""
-    return pose_costs(measured, _chi2(skeleton, model, measured)).sum(axis=-1)
+    return measured.costs(_chi2(skeleton, model, measured)).sum(axis=-1)
 
 
 def _sought(skeleton: Skeleton, model: TreeModel, measured: Measured) -> TreeModel:
@@ -101,7 +101,7 @@ def _told_by_parts(skeleton: Skeleton, model: TreeModel, measured: Measured) -> 
         for q in proposals:
             q = joint.type.nearest_turn(q, before)
             tried = _with_joint(model, columns, q)
-            cost = pose_costs(measured, _chi2(skeleton, tried, measured))[:, members].sum(axis=-1)
+            cost = measured.costs(_chi2(skeleton, tried, measured))[:, members].sum(axis=-1)
             chosen, best = np.where((cost < best)[:, None], q, chosen), np.minimum(cost, best)
         model = _with_joint(model, columns, chosen)
     return model
@@ -158,6 +158,8 @@ def _searched(skeleton: Skeleton, model: TreeModel, measured: Measured) -> TreeM
         model = model.with_states(np.flatnonzero(better), tried.take(np.flatnonzero(better)))
         chi2 = np.where(better[:, None], tried_chi2, chi2)
         damping *= np.where(better, DAMPING_FALL, DAMPING_RISE)
+        if not np.any(np.sum(step * found.g_s, axis=-1) < -FOUND):
+            break
     return model
 
 

@@ -30,15 +30,19 @@ from station.fit.bodies import Group, bodies_of_log, scaled_by_part, with_refere
 from station.fit.comparison import MIN_FRAMES, PairTable, compare_pairs, edge_weights
 from station.fit.copies import without_copies
 from station.fit.fusion import fused_bodies, refined_mounts
+from station.fit.image.image_fit import joined
+from station.fit.image.views import Views
 from station.fit.options import FitOptions, check_options
 from station.fit.parallel import products_in_one_thread
 from station.fit.reading import JointReading
 from station.fit.remarks import remarks
 from station.fit.result import Fit
 from station.fit.selection import CRITERIA, Scores
+from station.fit.standing import with_standing
 from station.fit.structure import components, outward, shallowest, spanning_forest
 from station.fit.subclusters import merged, singles
-from station.fit.tree_reading import REFERENCE, Structure, named_member, read_tree
+from station.fit.telling import method_told
+from station.fit.tree_reading import REFERENCE, Structure, TreeReading, named_member, read_tree
 from station.kinematics.tree import Joint, KinematicTree
 from station.logs import FloatArray, JointLog, PoseLog
 
@@ -46,19 +50,27 @@ BoolArray = NDArray[np.bool_]
 IntArray = NDArray[np.intp]
 
 
-def learn(log: PoseLog, options: FitOptions | None = None) -> Fit:
+def learn(log: PoseLog, options: FitOptions | None = None, views: Views | None = None) -> Fit:
     """Learn the kinematic tree of the parts of a log.
 
+    Args:
+        log: poses of the parts.
+        options: how to learn.
+        views: the corners that the poses are from; the tree is then refined on them (image).
+
     Raises:
-        InvalidData: for options that don't exist, and for a log in which no two parts were seen together often enough.
+        InvalidData: for options that don't exist, for a log in which no two parts were seen together often enough, for
+            views of other parts or times.
     """
-    (found,) = learn_all([log], options)
+    (found,) = learn_all([log], options, [views])
     if isinstance(found, InvalidData):
         raise found
     return found
 
 
-def learn_all(logs: Sequence[PoseLog], options: FitOptions | None = None) -> list[Fit | InvalidData]:
+def learn_all(
+    logs: Sequence[PoseLog], options: FitOptions | None = None, views: Sequence[Views | None] | None = None
+) -> list[Fit | InvalidData]:
     """Learn the kinematic trees of many logs; for each what `learn` would return or raise.
 
     Logs of small objects with as many frames are learned in much less time than one after another.
@@ -67,7 +79,9 @@ def learn_all(logs: Sequence[PoseLog], options: FitOptions | None = None) -> lis
     if options.method == "paper":
         return [_by_paper(log, options) for log in logs]
     with products_in_one_thread():
-        return answered_all([_learning(log, options) for log in logs])
+        return answered_all(
+            [_learning(log, options, seen) for log, seen in zip(logs, views or [None] * len(logs), strict=True)]
+        )
 
 
 def _by_paper(log: PoseLog, options: FitOptions) -> Fit | InvalidData:
@@ -80,19 +94,21 @@ def _by_paper(log: PoseLog, options: FitOptions) -> Fit | InvalidData:
         return error
 
 
-def _learning(log: PoseLog, options: FitOptions) -> Asking[Fit]:
+def _learning(log: PoseLog, options: FitOptions, views: Views | None) -> Asking[Fit]:
     _check(log, options)
+    _check_views(log, options, views)
     include, copies = _included(log, options), without_copies(log)
     options = replace(options, root=copies.original(options.root))
-    return copies.added((yield from _learned(copies.log, options, include)), log.parts)
+    seen = views if options.refine in ("image", None) else None
+    return copies.added((yield from _learned(copies.log, options, include, seen)), log.parts)
 
 
-def _learned(log: PoseLog, options: FitOptions, include: bool) -> Asking[Fit]:
+def _learned(log: PoseLog, options: FitOptions, include: bool, views: Views | None) -> Asking[Fit]:
     joints_only = replace(options, joint_types=options.joints)
     found = yield from _find_structure(log, joints_only, include)
     structure, doubts = yield from settled(found, options.joints)
     roots = _roots(structure, log, options, include)
-    return (yield from _assembled(log, options, structure, roots, doubts, include))
+    return (yield from _assembled(log, options, structure, roots, doubts, include, views))
 
 
 def _included(log: PoseLog, options: FitOptions) -> bool:
@@ -107,6 +123,20 @@ def _check(log: PoseLog, options: FitOptions) -> None:
     if include and log.reference in log.parts:
         raise InvalidData(f"a part has the reference frame's name '{log.reference}'; rename one")
     check_options(options, (*log.parts, log.reference) if include else log.parts)
+    if include and options.root_static is False:
+        raise InvalidData(f"'{log.reference}' is a part of the tree and stands still; leave open whether the root does")
+
+
+def _check_views(log: PoseLog, options: FitOptions, views: Views | None) -> None:
+    if views is None:
+        if options.refine == "image":
+            raise InvalidData("poses alone can't be refined on the image: no corners; refine on the poses")
+        return
+    if not np.array_equal(views.t_s, log.t_s):
+        raise InvalidData(f"views of {len(views.t_s)} frames at other times than the log's {len(log.t_s)}")
+    missing = [part for part in log.parts if part not in views.parts]
+    if missing:
+        raise InvalidData(f"the views have no part '{missing[0]}'; have {', '.join(views.parts)}")
 
 
 def _find_structure(log: PoseLog, options: FitOptions, include: bool) -> Asking[Structure]:
@@ -114,7 +144,8 @@ def _find_structure(log: PoseLog, options: FitOptions, include: bool) -> Asking[
     groups, bodies, known = singles(len(parts.names)), parts, None
     edges = np.zeros((0, 2), dtype=np.intp)
     for level in count():  # bodies of one round are the parts of the next; each round but the first merges some
-        pairs, alone = _all_pairs(len(bodies.names)), _only_rigid(groups, include)
+        alone = _only_rigid(groups, include)
+        pairs = _all_pairs(len(bodies.names), without=alone if options.root_static is False else None)
         table = yield from compare_pairs(
             bodies, pairs, options.joint_types, options.criterion, only_rigid=alone, known=known
         )
@@ -127,7 +158,10 @@ def _find_structure(log: PoseLog, options: FitOptions, include: bool) -> Asking[
             break
         if level == 0:
             parts = scaled_by_part(parts, _variances(table, chosen, len(parts.names)))
-        before, groups = groups, merged(groups, table.pairs[rigid], table.T_a_b[rigid])
+        fixed, T_a_b = table.pairs[rigid], table.T_a_b[rigid]
+        if level == 0 and options.root_static and not include:
+            fixed, T_a_b = with_standing(parts, fixed, T_a_b, options.root)
+        before, groups = groups, merged(groups, fixed, T_a_b)
         groups, known = refined_mounts(parts, groups), known.renumbered(_numbers_of(before, groups))
         bodies = fused_bodies(parts, groups)
     return Structure(parts, groups, bodies, edges, known)
@@ -145,8 +179,10 @@ def _too_few(log: PoseLog) -> str:
     return f"no two parts were seen together in {MIN_FRAMES} frames or more; seen: {counts} of {len(log.t_s)} frames"
 
 
-def _all_pairs(count: int) -> IntArray:
-    return np.stack(np.triu_indices(count, k=1), axis=-1).astype(np.intp)
+def _all_pairs(count: int, without: BoolArray | None) -> IntArray:
+    """(P, 2) pairs of bodies, but for some (K,) that are in none."""
+    pairs = np.stack(np.triu_indices(count, k=1), axis=-1).astype(np.intp)
+    return pairs if without is None else pairs[~without[pairs].any(axis=-1)]
 
 
 def _only_rigid(groups: Sequence[Group], include: bool) -> BoolArray:
@@ -200,14 +236,22 @@ def _root_of(tree: list[int], structure: Structure, wanted: int | None) -> int:
 
 
 def _assembled(
-    log: PoseLog, options: FitOptions, structure: Structure, roots: list[int], doubts: Sequence[Doubt], include: bool
+    log: PoseLog,
+    options: FitOptions,
+    structure: Structure,
+    roots: list[int],
+    doubts: Sequence[Doubt],
+    include: bool,
+    views: Views | None,
 ) -> Asking[Fit]:
     groups, names = structure.groups, structure.parts.names
     body_name = [names[group.members[named_member(group, include=include)]] for group in groups]
     joints_only = replace(options, joint_types=options.joints)
-    read: list[tuple[int, int, JointReading, Scores, int]] = []
+    trees_read: list[TreeReading] = []
     for root in roots:
-        read += yield from read_tree(structure, root, joints_only, include=include)
+        trees_read.append((yield from read_tree(structure, root, joints_only, views, include=include)))
+    read = [joint for tree in trees_read for joint in tree.joints]
+    mounts = {names[part]: T for tree in trees_read for part, T in tree.mounts.items()}
     joints = [
         _scored(r.joint(body_name[a], body_name[b], scores, i), scores, i, options) for a, b, r, scores, i in read
     ]
@@ -218,16 +262,19 @@ def _assembled(
     trees = tuple(tuple(body_name[k] for k in tree) for tree in bodies)
     by_edge = {tuple(sorted(item[:2])): joint for item, joint in zip(read, joints, strict=True)}
     told = [(by_edge[d.edge], body_name[d.other[0]], body_name[d.other[1]], d.odds) for d in doubts]
+    images = [tree.image for tree in trees_read if tree.image is not None]
+    image = joined(images) if images else None
     tree = KinematicTree(
         root=body_name[roots[0]],
         parts=names if include else names[1:],
         rigid_groups=tuple(group for group in rigid if len(group) > 1),
         trees=trees,
         joints=tuple(joints),
-        method={"name": options.method, "criterion": options.criterion, "joint_types": list(options.joint_types)},
+        method=method_told(options, image, root_static=REFERENCE in groups[roots[0]].members),
         warnings=remarks(log, joints, readings, trees, told),
+        mounts=mounts,
     )
-    return Fit(tree, _states(log, joints, readings))
+    return Fit(tree, _states(log, joints, readings), image)
 
 
 def _scored(joint: Joint, scores: Scores, pair: int, options: FitOptions) -> Joint:

@@ -11,7 +11,7 @@ parent, its motion enters inverted.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -59,20 +59,22 @@ class TreeJoint:
 class Skeleton:
     """Joints from the root outward, and the body of each part.
 
-    Columns of parameters: the joints', each in the order of `stepped_frames`, then the mounts'. Columns of states: the
-    joints', then the root's pose.
+    Columns of parameters: the joints', each in the order of `stepped_frames`, then the mounts', then what all parts
+    share. Columns of states: the joints', then the root's pose.
 
     Attributes:
         joints: each hangs from the root or from one before it; body 0 is the root.
         body_of: K bodies.
         free_mount: (K,) whether T_body_part is estimated; the part that gives a body its frame is not.
         root_moves: whether the root has a pose in each frame, or the identity throughout.
+        shared: numbers that everything measured depends on, such as those of the camera that measured it.
     """
 
     joints: tuple[TreeJoint, ...]
     body_of: tuple[int, ...]
     free_mount: tuple[bool, ...]
     root_moves: bool
+    shared: int = 0
 
     @cached_property
     def paths(self) -> tuple[tuple[int, ...], ...]:
@@ -100,6 +102,11 @@ class Skeleton:
         start = self.joint_columns(len(self.joints)).start + 6 * sum(self.free_mount[:part])
         return slice(start, start + 6 * self.free_mount[part])
 
+    @property
+    def shared_columns(self) -> slice:
+        """Columns of what all parts share."""
+        return slice(self.parameters - self.shared, self.parameters)
+
     def state_columns(self, j: int) -> slice:
         """Columns of a joint's states."""
         sizes = [joint.type.states for joint in self.joints]
@@ -108,7 +115,8 @@ class Skeleton:
     @cached_property
     def coupled(self) -> tuple[tuple[slice, IntArray], ...]:
         """States of each joint, and the parameters of joints and mounts that they are coupled to: of the joints between
-        it and the root, and of what hangs from it. Then the root's pose with all parameters, if it moves.
+        it and the root, of what hangs from it, and what all share. Then the root's pose with all parameters, if it
+        moves.
         """
         found = [(self.state_columns(j), self._coupled(j)) for j in range(len(self.joints))]
         if self.root_moves:
@@ -119,7 +127,8 @@ class Skeleton:
         inward = self.paths[self.joints[j].far]
         outward = [i for i, joint in enumerate(self.joints) if j in self.paths[joint.far][:-1]]
         mounts = [self.mount_columns(k) for k in np.flatnonzero(self.hanging[j]).tolist()]
-        return indices([*(self.joint_columns(i) for i in sorted((*inward, *outward))), *mounts])
+        joints = [self.joint_columns(i) for i in sorted((*inward, *outward))]
+        return indices([*joints, *mounts, self.shared_columns])
 
     @cached_property
     def outermost_first(self) -> IntArray:
@@ -135,7 +144,7 @@ class Skeleton:
     @property
     def parameters(self) -> int:
         """Number of columns of parameters."""
-        return self.joint_columns(len(self.joints)).start + 6 * sum(self.free_mount)
+        return self.joint_columns(len(self.joints)).start + 6 * sum(self.free_mount) + self.shared
 
     @property
     def states(self) -> int:
@@ -145,12 +154,21 @@ class Skeleton:
 
 @dataclass(frozen=True, eq=False)
 class TreeModel:
-    """Parameters and states: T_ref_root (T, 4, 4), frames of each joint, q (T, joint states), mounts (K, 4, 4)."""
+    """Parameters and states.
+
+    Attributes:
+        T_ref_root: (T, 4, 4).
+        frames: of each joint.
+        q: (T, joint states).
+        mounts: (K, 4, 4).
+        shared: (e,) what all parts share.
+    """
 
     T_ref_root: FloatArray
     frames: tuple[JointFrames, ...]
     q: FloatArray
     mounts: FloatArray
+    shared: FloatArray = field(default_factory=lambda: np.zeros(0))
 
     def take(self, rows: slice | IntArray) -> TreeModel:
         """Some of the frames."""
@@ -172,7 +190,7 @@ def with_parameters(skeleton: Skeleton, model: TreeModel, step: FloatArray) -> T
     mounts = model.mounts.copy()
     for k in np.flatnonzero(skeleton.free_mount).tolist():
         mounts[k] = mounts[k] @ se3.exp(step[skeleton.mount_columns(k)])
-    return replace(model, frames=frames, mounts=mounts)
+    return replace(model, frames=frames, mounts=mounts, shared=model.shared + step[skeleton.shared_columns])
 
 
 def with_moved_states(skeleton: Skeleton, model: TreeModel, step: FloatArray) -> TreeModel:
@@ -213,7 +231,7 @@ class Branch:
 
 
 def branches(skeleton: Skeleton) -> tuple[Branch, ...]:
-    """What hangs from each joint at a root that stands still, and the root's own parts; a root that moves ties all."""
+    """What hangs from each joint at a root that stands still, and the root's own parts; one that moves ties all."""
     if skeleton.root_moves:
         return (Branch(tuple(range(len(skeleton.joints))), tuple(range(len(skeleton.body_of))), skeleton),)
     firsts = [j for j, joint in enumerate(skeleton.joints) if joint.near == 0]

@@ -16,7 +16,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from station.fit.skeleton import Skeleton, TreeModel
-from station.fit.tree_motion import TreePoses, Twists, joint_twists, mount_twists, root_twists, tree_poses
+from station.fit.tree_data import TreeData
+from station.fit.tree_motion import (
+    TreePoses,
+    Twists,
+    joint_twists,
+    mount_twists,
+    root_twists,
+    shared_twists,
+    tree_poses,
+    with_shared,
+)
 from station.fit.tree_residuals import Measured, part_jacobians, tree_residuals
 from station.logs import FloatArray
 
@@ -41,56 +51,56 @@ class Equations:
 
 
 @dataclass(frozen=True, eq=False)
-class _Local:
-    """What equations are made of.
+class Moved:
+    """What moves the parts of a tree.
 
     Attributes:
         poses: of the tree.
         centre: (T, 3) point that twists are about.
-        whitened: (T, K, 6) residuals.
-        by_twist: (T, K, 6, 6) their derivatives.
         joints: twists of each joint's own numbers.
         bodies: twists of each body by all numbers that move it, those of the joint that it hangs from last.
     """
 
     poses: TreePoses
     centre: FloatArray
-    whitened: FloatArray
-    by_twist: FloatArray
     joints: list[Twists]
     bodies: dict[int, Twists]
 
 
-def _local(skeleton: Skeleton, model: TreeModel, measured: Measured) -> _Local:
+def moved_by(skeleton: Skeleton, model: TreeModel) -> Moved:
+    """Twists of all bodies at a model; what all parts share moves the root, and is told behind its twist."""
     poses = tree_poses(skeleton, model)
-    residuals = tree_residuals(measured, poses.parts)
     centre = poses.parts[..., :3, 3].mean(axis=1)
-    by_twist = part_jacobians(measured, residuals, poses.parts, centre)
-    joints = [joint_twists(skeleton, model, poses, j, centre) for j in range(len(skeleton.joints))]
-    bodies = {0: root_twists(skeleton, poses, centre)}
+    joints = [
+        with_shared(joint_twists(skeleton, model, poses, j, centre), skeleton.shared)
+        for j in range(len(skeleton.joints))
+    ]
+    bodies = {0: with_shared(root_twists(skeleton, poses, centre), skeleton.shared)}
+    if skeleton.shared:
+        bodies[0] = shared_twists(skeleton, len(centre)).joined(bodies[0])
     for joint, twists in zip(skeleton.joints, joints, strict=True):  # the near ones come first
         bodies[joint.far] = bodies[joint.near].joined(twists)
-    return _Local(poses, centre, residuals.whitened, by_twist, joints, bodies)
+    return Moved(poses, centre, joints, bodies)
 
 
-def equations(skeleton: Skeleton, model: TreeModel, measured: Measured, inlier: FloatArray) -> Equations:
-    """Equations at a model; poses count by their weights `inlier` (T, K)."""
-    local, (frames, K) = _local(skeleton, model, measured), inlier.shape
-    weighted_t = np.ascontiguousarray(np.swapaxes(local.by_twist, -1, -2)) * inlier[..., None, None]
-    information, pull = weighted_t @ local.by_twist, (weighted_t @ local.whitened[..., None])[..., 0]
-    n, s = skeleton.parameters, skeleton.states
+def equations(skeleton: Skeleton, model: TreeModel, data: TreeData, weights: FloatArray) -> Equations:
+    """Equations at a model; what was measured counts by its weights (T, C)."""
+    moved = moved_by(skeleton, model)
+    of_parts = data.on_parts(moved.poses.parts, model.shared, moved.centre, weights)
+    information, pull = of_parts.information, of_parts.pull
+    (frames, K, d), n, s = pull.shape, skeleton.parameters, skeleton.states
     found = Equations(
         np.zeros((n, n)), np.zeros(n), np.zeros((frames, s, n)), np.zeros((frames, s, s)), np.zeros((frames, s))
     )
-    root = local.bodies[0]
+    root = moved.bodies[0]
     _add(found, root, root, information.sum(axis=1), pull.sum(axis=1))
-    beyond = (skeleton.hanging @ information.reshape(frames, K, 36)).reshape(frames, -1, 6, 6)
+    beyond = (skeleton.hanging @ information.reshape(frames, K, d * d)).reshape(frames, -1, d, d)
     pull_beyond = skeleton.hanging @ pull
     for j, joint in enumerate(skeleton.joints):
-        _add(found, local.bodies[joint.far], local.joints[j], beyond[:, j], pull_beyond[:, j])
+        _add(found, moved.bodies[joint.far], moved.joints[j], beyond[:, j], pull_beyond[:, j])
     for k in np.flatnonzero(skeleton.free_mount).tolist():
-        mount = mount_twists(skeleton, local.poses, k, local.centre)
-        _add(found, local.bodies[skeleton.body_of[k]].joined(mount), mount, information[:, k], pull[:, k])
+        mount = with_shared(mount_twists(skeleton, moved.poses, k, moved.centre), skeleton.shared)
+        _add(found, moved.bodies[skeleton.body_of[k]].joined(mount), mount, information[:, k], pull[:, k])
     return found
 
 
@@ -101,8 +111,8 @@ def _add(found: Equations, all_of_it: Twists, own: Twists, information: FloatArr
         found: equations that are being put together.
         all_of_it: twists of what it moves, by all numbers.
         own: by its own, the last of these.
-        information: (T, 6, 6) of all the parts that it moves.
-        pull: (T, 6) gradient of the same.
+        information: (T, 6 + e, 6 + e) of all the parts that it moves.
+        pull: (T, 6 + e) gradient of the same.
     """
     P, S, p, s = all_of_it.by_parameters, all_of_it.by_states, all_of_it.parameters, all_of_it.states
     S_t = np.ascontiguousarray(np.swapaxes(S, -1, -2))
@@ -128,11 +138,13 @@ def leverages(
 
     The share is the diagonal of B H_ss^-1 B^T, with B the derivative by the states and R^T R = H_ss^-1, R (T, s, s).
     """
-    local = _local(skeleton, model, measured)
-    taken = np.zeros(local.whitened.shape)
+    moved = moved_by(skeleton, model)
+    residuals = tree_residuals(measured, moved.poses.parts)
+    by_twist = part_jacobians(measured, residuals, moved.poses.parts, moved.centre)
+    taken = np.zeros(residuals.whitened.shape)
     for k, body in enumerate(skeleton.body_of):  # parts differ in what moves them
-        twists = local.bodies[body]
-        B = local.by_twist[:, k] @ twists.by_states
+        twists = moved.bodies[body]
+        B = by_twist[:, k] @ twists.by_states
         R_t = np.ascontiguousarray(np.swapaxes(root[..., twists.states], -1, -2))
         taken[:, k] = np.sum((B @ R_t) ** 2, axis=-1)
-    return local.whitened, taken
+    return residuals.whitened, taken

@@ -61,8 +61,8 @@ class Twists:
     origin their entries stay of one size.
 
     Attributes:
-        by_parameters: (T, 6, n).
-        by_states: (T, 6, s).
+        by_parameters: (T, 6 + e, n), e numbers that all parts share behind the twist.
+        by_states: (T, 6 + e, s).
         parameters: (n,) columns.
         states: (s,) columns.
     """
@@ -115,6 +115,24 @@ def mount_twists(skeleton: Skeleton, poses: TreePoses, part: int, centre: FloatA
     """By a part's mount, about `centre` (T, 3)."""
     twists = _adjoint(poses.parts[:, part], centre)
     return Twists(twists, twists[..., :0], _listed(skeleton.mount_columns(part)), np.zeros(0, dtype=np.intp))
+
+
+def shared_twists(skeleton: Skeleton, frames: int) -> Twists:
+    """What all parts share, by itself: it moves nothing, and is told behind the twist."""
+    e = skeleton.shared
+    by_itself = np.broadcast_to(np.concatenate([np.zeros((6, e)), np.eye(e)]), (frames, 6 + e, e))
+    return Twists(by_itself, by_itself[..., :0], _listed(skeleton.shared_columns), np.zeros(0, dtype=np.intp))
+
+
+def with_shared(twists: Twists, shared: int) -> Twists:
+    """The same twists, with zeros for the numbers that all parts share."""
+    if not shared:
+        return twists
+
+    def longer(of: FloatArray) -> FloatArray:
+        return np.concatenate([of, np.zeros((len(of), shared, of.shape[-1]))], axis=1)
+
+    return Twists(longer(twists.by_parameters), longer(twists.by_states), twists.parameters, twists.states)
 
 
 def _listed(columns: slice) -> IntArray:

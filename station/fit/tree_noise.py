@@ -25,7 +25,7 @@ MEDIAN = float(chi2_median(np.array(3.0)))
 LEAST_SPREAD = 1e-9
 
 
-def spread_of(problem: Problem, model: TreeModel, inlier: FloatArray, last: Linearised) -> FloatArray:
+def spread_of(problem: Problem[Measured], model: TreeModel, inlier: FloatArray, last: Linearised) -> FloatArray:
     """(K, 2) spread by the residuals: one step of the restricted likelihood, from the spread that there is.
 
     Numbers that were measured count less what the states of their frames take up, and less an even share of the

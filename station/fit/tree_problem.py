@@ -8,19 +8,20 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import TypeVar
+from typing import Generic, TypeVar
 
 import numpy as np
 
 from station.fit.parallel import each
 from station.fit.skeleton import Skeleton, TreeModel
+from station.fit.tree_data import TreeData
 from station.fit.tree_elimination import UNOBSERVED, FrameStates, Reduced, eliminated
 from station.fit.tree_equations import equations
 from station.fit.tree_motion import tree_poses
-from station.fit.tree_residuals import Measured, tree_residuals
 from station.logs import FloatArray
 
 Found = TypeVar("Found")
+Data = TypeVar("Data", bound=TreeData)
 
 # Numbers in the arrays of one chunk of frames, 8 bytes each. Fewer, and calls cost more than numbers do.
 CHUNK_NUMBERS = 3_000_000
@@ -31,16 +32,40 @@ HELD_NUMBERS = 15_000_000
 
 
 @dataclass(frozen=True, eq=False)
-class Problem:
+class Prior:
+    """What is known of the numbers that all parts share before anything is measured: values and deviations (e,)."""
+
+    values: FloatArray
+    std: FloatArray
+
+    def cost(self, shared: FloatArray) -> float:
+        """-2 log density of shared numbers (e,), but for a constant."""
+        return float(np.sum(((shared - self.values) / self.std) ** 2))
+
+    def equations(self, skeleton: Skeleton, shared: FloatArray) -> Reduced:
+        """As if it had been measured."""
+        n, columns = skeleton.parameters, skeleton.shared_columns
+        information, g = np.zeros(n), np.zeros(n)
+        information[columns] = self.std**-2.0
+        g[columns] = (shared - self.values) * information[columns]
+        return Reduced(np.diag(information), g, information, 0.0, 0.0)
+
+
+NO_PRIOR = Prior(np.zeros(0), np.zeros(0))
+
+
+@dataclass(frozen=True, eq=False)
+class Problem(Generic[Data]):
     """A branch and what was measured of it, in chunks of frames."""
 
     skeleton: Skeleton
-    measured: Measured
+    measured: Data
+    prior: Prior = NO_PRIOR
 
     @property
     def chunks(self) -> list[slice]:
         """Frames that are worked on at once; in an even number of chunks, so that two cores have the same to do."""
-        T, K = self.measured.seen.shape
+        T, K = self.measured.shape
         n, s = self.skeleton.parameters, self.skeleton.states
         most = max(CHUNK_NUMBERS // (200 * K + (s + 20) * (n + s)), 1)
         count = -(-T // most)
@@ -48,16 +73,16 @@ class Problem:
         return [slice(start, stop) for start, stop in pairwise(ends)]
 
     def chi2(self, model: TreeModel) -> FloatArray:
-        """(T, K) whitened squared residuals."""
+        """(T, C) whitened squared residuals."""
 
         def of_chunk(rows: slice) -> FloatArray:
             poses = tree_poses(self.skeleton, model.take(rows))
-            return tree_residuals(self.measured.take(rows), poses.parts).chi2
+            return self.measured.take(rows).chi2(poses.parts, model.shared)
 
         return np.concatenate(each(of_chunk, self.chunks))
 
     def linearised(self, model: TreeModel, inlier: FloatArray, damping: float) -> Linearised:
-        """Equations at a model, poses weighted by `inlier` (T, K)."""
+        """Equations at a model, what was measured weighted by `inlier` (T, C)."""
 
         def of_chunk(rows: slice) -> tuple[Reduced, FrameStates]:
             found = equations(self.skeleton, model.take(rows), self.measured.take(rows), inlier[rows])
@@ -74,8 +99,8 @@ class Problem:
         chunks = self.chunks
         share = -(-len(chunks) // GROUPS)
         found = each(of_group, [chunks[i : i + share] for i in range(0, len(chunks), share)])
-        total = found[0][0]
-        for reduced, _ in found[1:]:
+        total = self.prior.equations(self.skeleton, model.shared)
+        for reduced, _ in found:
             total = total.plus(reduced)
         held = tuple(states for _, group in found for states in group)
         return Linearised(total, damping, tuple(chunks), held, lambda rows: of_chunk(rows)[1])
@@ -107,10 +132,14 @@ class Linearised:
 
     def each_chunk(self, function: Callable[[FrameStates], Found]) -> list[Found]:
         """Results of a function of the states of each chunk."""
+        return self.each_rows(lambda rows, states: function(states))
+
+    def each_rows(self, function: Callable[[slice, FrameStates], Found]) -> list[Found]:
+        """Results of a function of each chunk's frames and states."""
 
         def of_chunk(work: tuple[slice, FrameStates]) -> Found:
             rows, held = work
-            return function(held if held.Z else self.again(rows))
+            return function(rows, held if held.Z else self.again(rows))
 
         return each(of_chunk, list(zip(self.rows, self.held, strict=True)))
 

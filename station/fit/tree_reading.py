@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,6 +10,10 @@ from numpy.typing import NDArray
 
 from station.fit.asking import Asking
 from station.fit.bodies import Group
+from station.fit.image.camera_numbers import unknowns
+from station.fit.image.image_fit import ImageFit
+from station.fit.image.refinement import refine_image
+from station.fit.image.views import Views
 from station.fit.noise import INLIER_ABOVE
 from station.fit.options import FitOptions
 from station.fit.pairwise import residuals
@@ -24,7 +29,7 @@ from station.logs import FloatArray
 
 BoolArray = NDArray[np.bool_]
 
-__all__ = ["REFERENCE", "Structure", "named_member", "read_tree"]
+__all__ = ["REFERENCE", "Structure", "TreeReading", "named_member", "read_tree"]
 
 
 def named_member(group: Group, *, include: bool) -> int:
@@ -34,11 +39,12 @@ def named_member(group: Group, *, include: bool) -> int:
 
 @dataclass(frozen=True, eq=False)
 class _Refined:
-    """A tree, its start, its fit, and whether the reference frame is a part of its own."""
+    """A tree, its start, its fit, where its parts were seen (T, K), and whether the reference is a part of its own."""
 
     structure: Structure
     start: TreeStart
     fit: TreeFit
+    part_seen: BoolArray
     include: bool
 
     def group(self, body: int) -> Group:
@@ -64,8 +70,7 @@ class _Refined:
         """(T,) some part of a body was seen; always for what stands still."""
         if REFERENCE in self.group(body).members:
             return np.ones(len(self.fit.inlier), dtype=bool)
-        parts = [self.start.parts[k] for k in self.members(body)]
-        return np.any(self.structure.parts.seen[:, parts], axis=1)
+        return np.any(self.part_seen[:, self.members(body)], axis=1)
 
     def told(self, body: int) -> BoolArray:
         """(T,) some part of a body was seen and is no outlier; always for what stands still."""
@@ -74,23 +79,82 @@ class _Refined:
         return np.any(self.fit.inlier[:, self.members(body)] > INLIER_ABOVE, axis=1)
 
 
+@dataclass(frozen=True, eq=False)
+class TreeReading:
+    """What a tree's fit tells.
+
+    Attributes:
+        joints: (parent, child, reading, scores, row of the scores) of each, from the root outward; ends are bodies.
+        mounts: T_body_part (4, 4) of further trackers by part, in the frames of the bodies' naming parts.
+        image: the corners against the tree, if it was refined on them.
+    """
+
+    joints: tuple[tuple[int, int, JointReading, Scores, int], ...]
+    mounts: Mapping[int, FloatArray]
+    image: ImageFit | None = None
+
+
 def read_tree(
-    structure: Structure, root: int, options: FitOptions, *, include: bool
-) -> Asking[list[tuple[int, int, JointReading, Scores, int]]]:
-    """(parent, child, reading, scores, row of the scores) of each joint of a tree, from the root outward."""
+    structure: Structure, root: int, options: FitOptions, views: Views | None, *, include: bool
+) -> Asking[TreeReading]:
+    """The joints of a tree from the root outward, and where further trackers sit on its bodies.
+
+    The tree is fitted to the poses, and to the corners too if there are views of its parts.
+    """
     order = [(a, b) for a, b, _ in outward(root, structure.edges)]
     if not order:
-        return []
+        group = structure.groups[root]
+        return TreeReading((), _mounts(group, group.members, group.mounts, include=include))
     start = yield from tree_start(structure, root, options)
     fit = refine_tree(
         start.skeleton,
         start.model,
         lambda parts: measured_parts(structure.parts, [start.parts[k] for k in parts]),
+        move=options.refine != "none",
     )
-    refined = _Refined(structure, start, fit, include)
+    image, seen = None, structure.parts.seen[:, list(start.parts)]
+    if views is not None:
+        fit, image = _refined_on_corners(structure, start, fit, views, options)
+        seen = _seen(image.views)
+    refined = _Refined(structure, start, fit, seen, include)
     names = [(start.bodies[joint.parent], start.bodies[joint.child]) for joint in start.skeleton.joints]
     rows = [names.index(pair) for pair in order]
-    return [(a, b, _reading(refined, j).settled(), start.scores, j) for (a, b), j in zip(order, rows, strict=True)]
+    joints = [(a, b, _reading(refined, j).settled(), start.scores, j) for (a, b), j in zip(order, rows, strict=True)]
+    mounts: dict[int, FloatArray] = {}
+    for k in start.bodies:
+        mounts |= _mounts(structure.groups[k], start.parts, fit.model.mounts, include=include)
+    return TreeReading(tuple(joints), mounts, image)
+
+
+def _refined_on_corners(
+    structure: Structure, start: TreeStart, fit: TreeFit, views: Views, options: FitOptions
+) -> tuple[TreeFit, ImageFit]:
+    names = tuple(structure.parts.names[k] for k in start.parts)
+    unknown = unknowns(views.camera, views.readout_s, options.camera_numbers)
+    found = refine_image(start.skeleton, fit.model, names, views, unknown)
+    return found.fit, found.image
+
+
+def _seen(views: Views) -> BoolArray:
+    """(T, K) whether a marker of a part was seen."""
+    found = np.zeros((len(views.t_s), len(views.parts)), dtype=bool)
+    found[views.frame, views.part[views.marker]] = True
+    return found
+
+
+def _mounts(group: Group, parts: Sequence[int], mounts: FloatArray, *, include: bool) -> dict[int, FloatArray]:
+    """T_body_part (4, 4) of a group's members but the one that names it, in that one's frame.
+
+    Args:
+        group: of parts.
+        parts: P of all parts.
+        mounts: (P, 4, 4) of these, in a frame that the members share; the reference frame's is the identity.
+        include: whether the reference frame is a part.
+    """
+    of_part = {REFERENCE: np.eye(4)} | dict(zip(parts, mounts, strict=True))
+    naming = group.members[named_member(group, include=include)]
+    others = [part for part in group.members if part not in (naming, REFERENCE)]
+    return {part: se3.inverse(of_part[naming]) @ of_part[part] for part in others}
 
 
 def _reading(refined: _Refined, j: int) -> JointReading:

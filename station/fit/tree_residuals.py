@@ -13,6 +13,7 @@ from scipy.stats import chi2 as chi2_distribution
 from station.fit.bodies import Bodies
 from station.fit.noise import Noise
 from station.fit.pairwise import OUTLIER_SHARE_START, ROTATION_VOLUME
+from station.fit.tree_data import PartEquations
 from station.kinematics import se3
 from station.logs import FloatArray
 
@@ -61,9 +62,50 @@ class Measured:
             self.T_ref_part[:, k], self.whitener[:, k], self.log_odds[:, k], self.dimensions[:, k], self.spread[k]
         )
 
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(T, K)."""
+        return self.dimensions.shape[0], self.dimensions.shape[1]
+
+    def chi2(self, T_ref_part: FloatArray, shared: FloatArray) -> FloatArray:
+        """(T, K) squared lengths of the whitened residuals; poses share nothing."""
+        return tree_residuals(self, T_ref_part).chi2
+
+    def on_parts(
+        self, T_ref_part: FloatArray, shared: FloatArray, centre: FloatArray, weights: FloatArray
+    ) -> PartEquations:
+        """Equations by twists about `centre` (T, 3), poses counting by their weights (T, K)."""
+        residuals = tree_residuals(self, T_ref_part)
+        by_twist = part_jacobians(self, residuals, T_ref_part, centre)
+        weighted_t = np.ascontiguousarray(np.swapaxes(by_twist, -1, -2)) * weights[..., None, None]
+        return PartEquations(weighted_t @ by_twist, (weighted_t @ residuals.whitened[..., None])[..., 0])
+
     def hotter(self, heat: FloatArray) -> Measured:
         """With variances so many times as large (K,)."""
         return replace(self, spread=self.spread * np.sqrt(heat)[:, None])
+
+    def heat(self, chi2: FloatArray) -> FloatArray:
+        """(K,) factors, at least 1, of the variances of parts that as a whole don't fit, by chi2 (T, K).
+
+        While a joint is far from where it belongs, its parts are no outliers. Their variances are raised until the
+        better poses of a part, those up to `BETTER_SHARE` of its squared residuals, are `HOT` times the usual.
+        """
+        against_usual = np.where(self.seen, chi2 / np.where(self.dimensions == 6, *USUAL), np.inf)
+        return np.maximum(better_ones(against_usual, self.seen) / HOT, 1.0)
+
+    def weights(self, chi2: FloatArray) -> FloatArray:
+        """(T, K) probability that a pose is no outlier, by its whitened squared residual (T, K)."""
+        probability = np.asarray(expit(self._log_odds(chi2)), dtype=np.float64)
+        return np.where(probability > LEAST_INLIER, probability, 0.0)
+
+    def costs(self, chi2: FloatArray) -> FloatArray:
+        """(T, K) -2 log likelihood of each pose, inlier or outlier, less that of an outlier."""
+        return -2 * np.logaddexp(self._log_odds(chi2), 0.0)
+
+    def _log_odds(self, chi2: FloatArray) -> FloatArray:
+        position, orientation = np.log(self.spread).T
+        volume = 3 * position + np.maximum(self.dimensions - 3, 0.0) * orientation
+        return self.log_odds - volume - 0.5 * chi2
 
     @property
     def seen(self) -> BoolArray:
@@ -136,34 +178,11 @@ def part_jacobians(
     return np.concatenate([-along, by_turn], axis=-1) * measured.per_row[..., None]
 
 
-def inlier_weights(measured: Measured, chi2: FloatArray) -> FloatArray:
-    """(T, K) probability that a pose is no outlier, by its whitened squared residual (T, K)."""
-    probability = np.asarray(expit(_log_odds(measured, chi2)), dtype=np.float64)
-    return np.where(probability > LEAST_INLIER, probability, 0.0)
-
-
-def pose_costs(measured: Measured, chi2: FloatArray) -> FloatArray:
-    """(T, K) -2 log likelihood of each pose, inlier or outlier, less that of an outlier."""
-    return -2 * np.logaddexp(_log_odds(measured, chi2), 0.0)
-
-
-def _log_odds(measured: Measured, chi2: FloatArray) -> FloatArray:
-    position, orientation = np.log(measured.spread).T
-    volume = 3 * position + np.maximum(measured.dimensions - 3, 0.0) * orientation
-    return measured.log_odds - volume - 0.5 * chi2
-
-
-def heat_of(measured: Measured, chi2: FloatArray) -> FloatArray:
-    """(K,) factors, at least 1, of the variances of parts that as a whole don't fit, by chi2 (T, K).
-
-    While a joint is far from where it belongs, its parts are no outliers. Their variances are raised until the better
-    poses of a part, those up to `BETTER_SHARE` of its squared residuals, are `HOT` times the usual.
-    """
-    seen = measured.seen
-    against_usual = np.where(seen, chi2 / np.where(measured.dimensions == 6, *USUAL), np.inf)
+def better_ones(against_usual: FloatArray, seen: BoolArray) -> FloatArray:
+    """(C,) of squared residuals (T, C), inf unseen, the one up to which are `BETTER_SHARE` of those seen; 0 if none."""
     at = BETTER_SHARE * np.maximum(seen.sum(axis=0) - 1, 0)  # of those in order
     rows = np.stack([np.floor(at), np.ceil(at)]).astype(np.intp)
     below, above = np.take_along_axis(np.sort(against_usual, axis=0), rows, axis=0)
     known = seen.any(axis=0)
     below, above = np.where(known, below, 0.0), np.where(known, above, 0.0)
-    return np.maximum((below + (at - rows[0]) * (above - below)) / HOT, 1.0)
+    return np.asarray(below + (at - rows[0]) * (above - below), dtype=np.float64)

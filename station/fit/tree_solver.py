@@ -9,8 +9,8 @@ import numpy as np
 from station.fit.frame_states import with_likely_states
 from station.fit.skeleton import TreeModel, with_moved_states, with_parameters
 from station.fit.tree_noise import spread_of
-from station.fit.tree_problem import Linearised, Problem
-from station.fit.tree_residuals import heat_of, inlier_weights, pose_costs
+from station.fit.tree_problem import Data, Linearised, Problem
+from station.fit.tree_residuals import Measured
 from station.logs import FloatArray
 
 STEPS = 25
@@ -30,18 +30,20 @@ class Solution:
 
     Attributes:
         model: parameters and states.
-        chi2: (T, K) whitened squared residuals.
-        inlier: (T, K) probability that a pose is no outlier.
+        chi2: (T, C) whitened squared residuals.
+        inlier: (T, C) probability that each is no outlier.
         last: equations, of a point as near to the end as makes no difference.
+        settled: whether the last step promised next to nothing.
     """
 
     model: TreeModel
     chi2: FloatArray
     inlier: FloatArray
     last: Linearised
+    settled: bool
 
 
-def solve(problem: Problem, model: TreeModel) -> tuple[Problem, Solution]:
+def solve(problem: Problem[Measured], model: TreeModel) -> tuple[Problem[Measured], Solution]:
     """The likeliest parameters and states; and the problem with the noise that each part turned out to have."""
     solution = _settled(problem, model)
     for _ in range(NOISE_ROUNDS):  # better weights may tell the noise better
@@ -50,44 +52,53 @@ def solve(problem: Problem, model: TreeModel) -> tuple[Problem, Solution]:
         if not np.any(change > NOISE_CHANGE):
             break
         problem = replace(problem, measured=replace(problem.measured, spread=spread))
-        solution = _settled(problem, solution.model)
-    return problem, solution
+        solution = refined(problem, solution.model, steps=1)  # it tells the noise as well as where it would settle
+    return problem, solution if solution.settled else _settled(problem, solution.model)
 
 
-def _settled(problem: Problem, model: TreeModel) -> Solution:
+def unmoved(problem: Problem[Measured], model: TreeModel) -> Solution:
+    """A model as it is, as if it were where least squares ended."""
+    chi2 = problem.chi2(model)
+    inlier = problem.measured.weights(chi2)
+    return Solution(model, chi2, inlier, problem.linearised(model, inlier, 0.0), settled=True)
+
+
+def _settled(problem: Problem[Measured], model: TreeModel) -> Solution:
     """All refined together; where frames don't fit then, their states sought anew, and again."""
-    solution = _refined(problem, model)
+    solution = refined(problem, model)
     for _ in range(ROUNDS):  # better parameters may tell better states, and these better parameters
-        heat = heat_of(problem.measured, solution.chi2)
+        heat = problem.measured.heat(solution.chi2)
         hot = problem.measured.hotter(heat)
         likely = with_likely_states(problem.skeleton, solution.model, hot, solution.chi2 / heat)
         if likely is solution.model:
             break
-        solution = _refined(problem, likely)
+        solution = refined(problem, likely)
     return solution
 
 
-def _refined(problem: Problem, model: TreeModel) -> Solution:
-    """Damped Gauss-Newton from a start."""
-    skeleton, chi2, damping, steps = problem.skeleton, problem.chi2(model), 0.0, 0
+def refined(problem: Problem[Data], model: TreeModel, steps: int = STEPS) -> Solution:
+    """Damped Gauss-Newton from a start; so many steps at most."""
+    skeleton, data, chi2, damping = problem.skeleton, problem.measured, problem.chi2(model), 0.0
     while True:
-        heat = heat_of(problem.measured, chi2)
-        hot = problem.measured.hotter(heat)
-        inlier = inlier_weights(hot, chi2 / heat)
+        heat = data.heat(chi2)
+        hot = data.hotter(heat)
+        inlier = hot.weights(chi2 / heat)
         last = replace(problem, measured=hot).linearised(model, inlier, damping)
         step = last.step()
         promise = 2 * last.reduced.promise - float(last.reduced.g @ step)
         tried = with_moved_states(skeleton, with_parameters(skeleton, model, step), last.states_step(step))
         tried_chi2 = problem.chi2(tried)
-        better = np.sum(pose_costs(hot, tried_chi2 / heat) - pose_costs(hot, chi2 / heat)) <= 0
+        dearer = float(np.sum(hot.costs(tried_chi2 / heat) - hot.costs(chi2 / heat)))
+        better = dearer + problem.prior.cost(tried.shared) - problem.prior.cost(model.shared) <= 0
         if better:
             model, chi2 = tried, tried_chi2
-        steps += 1
-        if promise <= SETTLED or steps == STEPS:
+        steps -= 1
+        if promise <= SETTLED or not steps:
             break
-        damping = _damping(damping, better=bool(better))
+        damping = _damping(damping, better=better)
         del last  # the largest of all; there is no room for two
-    return Solution(model, chi2, inlier, last if damping == 0 else problem.linearised(model, inlier, 0.0))
+    last = last if damping == 0 else problem.linearised(model, inlier, 0.0)
+    return Solution(model, chi2, inlier, last, promise <= SETTLED)
 
 
 def _damping(damping: float, *, better: bool) -> float:

@@ -21,7 +21,7 @@ from station.fit.tree_elimination import FrameStates
 from station.fit.tree_motion import tree_poses
 from station.fit.tree_problem import Linearised, Problem
 from station.fit.tree_residuals import Measured, tree_residuals
-from station.fit.tree_solver import Solution, solve
+from station.fit.tree_solver import Solution, solve, unmoved
 from station.logs import FloatArray
 
 BoolArray = NDArray[np.bool_]
@@ -50,20 +50,23 @@ class TreeFit:
     spread: FloatArray
 
 
-def refine_tree(skeleton: Skeleton, model: TreeModel, measured_of: Callable[[Sequence[int]], Measured]) -> TreeFit:
+def refine_tree(
+    skeleton: Skeleton, model: TreeModel, measured_of: Callable[[Sequence[int]], Measured], *, move: bool = True
+) -> TreeFit:
     """Least squares from a start; poses that don't fit are weighted down as outliers of the scene.
 
     Args:
         skeleton: joints, bodies and K parts.
         model: parameters and states to start from.
         measured_of: what was measured of some of the parts; asked for branch by branch, as it is large.
+        move: False leaves the start as it is, and tells how well it is known.
     """
     T_ref_root, frames = model.T_ref_root, list(model.frames)
     q, mounts, inlier = model.q.copy(), model.mounts.copy(), np.zeros((len(model.q), len(skeleton.body_of)))
     covariance, spread = np.zeros((skeleton.parameters, skeleton.parameters)), np.ones((len(skeleton.body_of), 2))
     state_covariance: list[FloatArray] = [np.zeros((len(q), 0, 0))] * len(skeleton.joints)
     for branch in branches(skeleton):
-        fit = _refine_branch(branch.skeleton, branch.model(skeleton, model), measured_of(branch.parts))
+        fit = _refine_branch(branch.skeleton, branch.model(skeleton, model), measured_of(branch.parts), move=move)
         columns, parts = branch.columns(skeleton), list(branch.parts)
         T_ref_root, covariance[columns[:, None], columns] = fit.model.T_ref_root, fit.covariance
         q[:, branch.state_columns(skeleton)], mounts[parts] = fit.model.q, fit.model.mounts
@@ -74,16 +77,17 @@ def refine_tree(skeleton: Skeleton, model: TreeModel, measured_of: Callable[[Seq
     return TreeFit(refined, covariance, tuple(state_covariance), inlier, spread)
 
 
-def _refine_branch(skeleton: Skeleton, model: TreeModel, measured: Measured) -> TreeFit:
-    problem, solution = solve(Problem(skeleton, measured), model)
+def _refine_branch(skeleton: Skeleton, model: TreeModel, measured: Measured, *, move: bool) -> TreeFit:
+    problem = Problem(skeleton, measured)
+    problem, solution = solve(problem, model) if move else (problem, unmoved(problem, model))
     measured, scale = problem.measured, _scale(problem, solution)
     covariance = parameter_covariance(solution.last.reduced.H, solution.last.reduced.unreduced) * scale
     covariance *= _repeats(skeleton, measured, solution)
-    states = _state_covariances(skeleton, solution.last, covariance, scale)
+    states = state_covariances(skeleton, solution.last, covariance, scale)
     return TreeFit(solution.model, covariance, states, solution.inlier, np.sqrt(scale) * measured.spread)
 
 
-def _scale(problem: Problem, solution: Solution) -> float:
+def _scale(problem: Problem[Measured], solution: Solution) -> float:
     """Variance of whitened residuals, by the numbers measured less those that were fitted."""
     fitted = problem.skeleton.parameters + solution.last.reduced.observed
     freedoms = float(np.sum(solution.inlier * problem.measured.dimensions)) - fitted
@@ -102,7 +106,7 @@ def _repeats(skeleton: Skeleton, measured: Measured, solution: Solution) -> floa
     return float(np.sum(frames * times) / max(np.sum(frames), 1))
 
 
-def _state_covariances(
+def state_covariances(
     skeleton: Skeleton, last: Linearised, covariance: FloatArray, scale: float
 ) -> tuple[FloatArray, ...]:
     """(T, s, s) of each joint's states: their own, and what they share, less its part that is the same in all frames.

@@ -54,13 +54,13 @@ def to_urdf(tree: KinematicTree, name: str, mounts: Mapping[str, FloatArray] | N
     Args:
         tree: any.
         name: the robot's name.
-        mounts: `T_body_part` (4, 4) of further trackers by part, `body` being the named part of their rigid group.
-            Those without a mount are left out and named in a comment.
+        mounts: `T_body_part` (4, 4) of further trackers by part, in place of the tree's own. Those without a mount are
+            left out and named in a comment.
 
     Raises:
         InvalidData: for mounts of parts that are no further trackers.
     """
-    mounts = mounts or {}
+    mounts = {**tree.mounts, **(mounts or {})}
     trackers = [part for part in tree.parts if part not in tree.bodies]
     strange = [part for part in mounts if part not in trackers]
     if strange:

@@ -181,6 +181,7 @@ def _tree(links: Sequence[str], edges: Sequence[_Edge]) -> KinematicTree:
         rigid_groups=tuple(tuple(group) for group in groups.values()),
         trees=connected_bodies(bodies, joints),
         joints=tuple(joints),
+        mounts={slugs[edge.child]: edge.origin for edge in mounts},
     )
 
 

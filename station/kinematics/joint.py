@@ -15,6 +15,7 @@ from station.logs import FloatArray, check_slugs, frozen_floats
 
 # Dimensionless; as for the rotations of a PoseLog.
 RIGID_TOLERANCE = 1e-6
+RIGID_MOTION = f"whose rotation is one within {RIGID_TOLERANCE:g} and whose last row is 0 0 0 1"
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -202,11 +203,8 @@ def _check_geometry(joint: Joint) -> None:
         raise InvalidData(f"{what}: pitch_m_per_rad is {given}; the type {_needs(needs_pitch)}")
     if joint.pitch_m_per_rad is not None and not np.isfinite(joint.pitch_m_per_rad):
         raise InvalidData(f"{what}: pitch_m_per_rad is {joint.pitch_m_per_rad}; want a finite number")
-    if not _is_rigid_motion(joint.T_parent_child_zero):
-        raise InvalidData(
-            f"{what}: T_parent_child_zero is no rigid motion; want a (4, 4) pose whose rotation is one within "
-            f"{RIGID_TOLERANCE:g} and whose last row is 0 0 0 1"
-        )
+    if not is_rigid_motion(joint.T_parent_child_zero):
+        raise InvalidData(f"{what}: T_parent_child_zero is no rigid motion; want a (4, 4) pose {RIGID_MOTION}")
     try:
         _ = joint.geometry
     except InvalidData as error:
@@ -217,7 +215,8 @@ def _needs(needed: bool) -> str:
     return "needs it" if needed else "has none"
 
 
-def _is_rigid_motion(T: FloatArray) -> bool:
+def is_rigid_motion(T: FloatArray) -> bool:
+    """Whether T is a (4, 4) rigid motion, within RIGID_TOLERANCE."""
     if T.shape != (4, 4) or not np.all(np.isfinite(T)) or np.any(T[3] != (0, 0, 0, 1)):
         return False
     R = T[:3, :3]

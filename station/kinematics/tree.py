@@ -10,8 +10,8 @@ from numpy.typing import ArrayLike
 
 from station.errors import InvalidData
 from station.kinematics import se3
-from station.kinematics.joint import Joint
-from station.logs import FloatArray, check_slugs
+from station.kinematics.joint import RIGID_MOTION, Joint, is_rigid_motion
+from station.logs import FloatArray, check_slugs, frozen_floats
 
 __all__ = ["Joint", "KinematicTree", "connected_bodies"]
 
@@ -20,8 +20,8 @@ __all__ = ["Joint", "KinematicTree", "connected_bodies"]
 class KinematicTree:
     """Bodies and the joints between them.
 
-    A body is known by one of its parts, its named part: it stands in `trees` and in the joints. The other members of
-    its rigid group are further trackers on it; where they sit on the body is not told here.
+    A body is known by one of its parts, its named part: it stands in `trees` and in the joints, and its frame is the
+    body's. The other members of its rigid group are further trackers on it.
 
     Attributes:
         root: named part that poses are told in; nothing is the parent of its body.
@@ -31,11 +31,13 @@ class KinematicTree:
         joints: in the order of the columns of joint states; each tree of n bodies has n - 1.
         method: how the tree was found, as JSON values.
         warnings: plain sentences.
+        mounts: `T_body_part` (4, 4) of further trackers by part; of those that are missing nobody knows where they sit.
 
     Raises:
         InvalidData: for names that aren't distinct slugs, joints with the same names of states, groups that overlap or
             name unknown parts, trees that don't hold each body once, joints between unknown bodies or different trees,
-            a body with two parents, a loop, a tree that its joints don't connect, a root that isn't one.
+            a body with two parents, a loop, a tree that its joints don't connect, a root that isn't one, mounts of
+            parts that are no further trackers or that are no rigid motions.
     """
 
     root: str
@@ -45,6 +47,7 @@ class KinematicTree:
     joints: tuple[Joint, ...]
     method: Mapping[str, object] = field(default_factory=dict[str, object])
     warnings: tuple[str, ...] = ()
+    mounts: Mapping[str, FloatArray] = field(default_factory=dict[str, FloatArray])
 
     def __post_init__(self) -> None:
         for name in ("parts", "joints", "warnings"):
@@ -52,12 +55,14 @@ class KinematicTree:
         for name in ("rigid_groups", "trees"):
             object.__setattr__(self, name, tuple(tuple(group) for group in getattr(self, name)))
         object.__setattr__(self, "method", dict(self.method))
+        object.__setattr__(self, "mounts", {part: frozen_floats(T) for part, T in self.mounts.items()})
         check_slugs(self.parts, "part")
         check_slugs([joint.name for joint in self.joints], "joint")
         check_slugs(self.columns, "state of a joint")
         _check_groups(self)
         _check_bodies(self)
         _check_joints(self)
+        _check_mounts(self)
         for names in self.trees:
             _check_connected(self, names)
         if self.root not in self.tree_roots:
@@ -262,6 +267,16 @@ def _check_joints(tree: KinematicTree) -> None:
         if joint.child in parent_of:
             raise InvalidData(f"'{joint.child}' has two parents: {parent_of[joint.child]} and {joint.parent}")
         parent_of[joint.child] = joint.parent
+
+
+def _check_mounts(tree: KinematicTree) -> None:
+    trackers = [part for part in tree.parts if part not in tree.bodies]
+    for part, T in tree.mounts.items():
+        if part not in trackers:
+            have = ", ".join(trackers) or "none"
+            raise InvalidData(f"mount of '{part}', which is no further tracker of a body; have {have}")
+        if not is_rigid_motion(T):
+            raise InvalidData(f"mount of '{part}' is no rigid motion; want a (4, 4) pose {RIGID_MOTION}")
 
 
 def _check_connected(tree: KinematicTree, names: tuple[str, ...]) -> None:

@@ -2,7 +2,7 @@
 
 A tree drawn by hand needs `schema`, `root`, `parts` and `joints`, and of a joint `name`, `type`, `parent`, `child`,
 `T_parent_child_zero` and what the type needs of `axis_parent`, `point_parent_m` and `pitch_m_per_rad`; all else may be
-absent or null.
+absent or null. `mounts` has T_body_part of further trackers by part, where they are known; older files have none.
 """
 
 from __future__ import annotations
@@ -81,6 +81,7 @@ class _Tree(_Strict):
     rigid_groups: list[list[str]] = []
     trees: list[list[str]] | None = None
     joints: list[_Joint]
+    mounts: dict[str, Matrix] = {}
     method: dict[str, Any] = {}
     warnings: list[str] = []
 
@@ -98,6 +99,7 @@ def to_json(tree: KinematicTree) -> str:
         "rigid_groups": tree.rigid_groups,
         "trees": tree.trees,
         "joints": [_joint_values(joint) for joint in tree.joints],
+        **({"mounts": tree.mounts} if tree.mounts else {}),
         "method": tree.method,
         "warnings": tree.warnings,
     }
@@ -221,6 +223,7 @@ def _to_tree(model: _Tree) -> KinematicTree:
         joints=tuple(joints),
         method=model.method,
         warnings=tuple(model.warnings),
+        mounts={part: np.array(T) for part, T in model.mounts.items()},
     )
 
 

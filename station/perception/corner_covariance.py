@@ -31,7 +31,7 @@ import numpy as np
 
 from station.logs import FloatArray
 from station.perception.edge_model import EdgeShape
-from station.perception.edges import Edges, preceding
+from station.quadrilaterals import Edges, preceding
 
 # Mean squared residual under the line fit's weights, as a share of the variance, for Gaussian errors.
 WEIGHTED_SHARE = 0.87

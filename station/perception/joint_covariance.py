@@ -11,8 +11,8 @@ from __future__ import annotations
 import numpy as np
 
 from station.logs import FloatArray
-from station.perception.edges import edges_of, following, preceding
 from station.perception.observations import COORDINATES, CORNERS
+from station.quadrilaterals import edges_of, following, preceding
 
 # Between the places of an edge's line at its two ends: measured on rendered frames -0.46 to -0.52 (markers of 30 to 50
 # px), -0.75 at 100 px, where aliasing along the edges adds to the slopes.

@@ -14,7 +14,6 @@ from numpy.typing import ArrayLike, NDArray
 from calibration.intrinsics import CameraModel
 from station.kinematics import se3
 from station.logs import FloatArray
-from station.perception.edges import shift_edges
 from station.perception.observations import COORDINATES
 from station.perception.point_poses import (
     FEW_STEPS,
@@ -26,6 +25,7 @@ from station.perception.point_poses import (
     squared_errors,
 )
 from station.perception.square_pose import cross3, square_poses
+from station.quadrilaterals import shift_edges
 
 # Corners of a marker of size 1 in its own frame, clockwise from its top left.
 UNIT_CORNERS = np.array([[-0.5, 0.5, 0.0], [0.5, 0.5, 0.0], [0.5, -0.5, 0.0], [-0.5, -0.5, 0.0]])

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from station.logs import FloatArray
-from station.perception.edges import Edges, edges_of, following, intersect_edges, preceding
+from station.quadrilaterals import Edges, edges_of, following, intersect_edges, preceding
 
 Singles = NDArray[np.float32]
 Mask = NDArray[np.bool_]

@@ -17,7 +17,6 @@ from calibration.intrinsics import CameraModel
 from station.logs import FloatArray
 from station.perception.corner_covariance import Scatter, corner_covariances
 from station.perception.edge_model import edge_places, fit_shape, surroundings
-from station.perception.edges import Edges, edges_of, following
 from station.perception.profiles import (
     Lattice,
     Mask,
@@ -31,6 +30,7 @@ from station.perception.profiles import (
     sample_profiles,
     unit_places,
 )
+from station.quadrilaterals import Edges, edges_of, following
 
 PROFILES = 20  # along each edge
 SAMPLES = 11  # across the edge, in each profile

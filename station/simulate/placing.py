@@ -79,15 +79,15 @@ class Layout:
 def layout(tree: KinematicTree, inflation: int = 0) -> Layout:
     """What is watched of a tree, with `inflation` virtual trackers near each of its parts (paper, IV-C).
 
-    The members of a rigid group beside its named part are trackers whose place a tree doesn't tell: they too are near
-    it at random. A virtual tracker of `door` is `door_v1`, or the next number that is free.
+    The members of a rigid group beside its named part are further trackers: where the tree doesn't tell their mounts,
+    they too are near it at random. A virtual tracker of `door` is `door_v1`, or the next number that is free.
     """
     anchors, mounts = _anchors(tree)
     taken = set(tree.parts)
     parts, near, groups = list(tree.parts), list(range(len(tree.parts))), {body: [body] for body in anchors}
     body_of = {part: tree.body_of(part) for part in tree.parts}
     for k, part in enumerate(tree.parts):
-        if part != body_of[part]:
+        if part != body_of[part] and part not in tree.mounts:
             near[k] = tree.parts.index(body_of[part])
     for k, part in enumerate(tree.parts):
         for name in _free_names(part, inflation, taken):
@@ -98,6 +98,7 @@ def layout(tree: KinematicTree, inflation: int = 0) -> Layout:
     for part in parts:
         if part != anchor_of[part]:
             groups[anchor_of[part]].append(part)
+    told = np.stack([mounts[body_of[part]] @ tree.mounts.get(part, np.eye(4)) for part in parts])
     folded = replace(
         tree,
         root=anchors[tree.root],
@@ -105,8 +106,8 @@ def layout(tree: KinematicTree, inflation: int = 0) -> Layout:
         rigid_groups=tuple(tuple(group) for body in tree.bodies if len(group := groups[body]) > 1),
         trees=tuple(tuple(body for body in bodies if anchors[body] == body) for bodies in tree.trees),
         joints=tuple(_folded(joint, anchors, mounts) for joint in tree.joints if joint.kind.states),
+        mounts={part: told[k] for k, part in enumerate(parts) if near[k] == k and part != anchor_of[part]},
     )
-    told = np.stack([mounts[body_of[part]] for part in parts])
     index = np.array([folded.bodies.index(anchor_of[part]) for part in parts])
     return Layout(folded, index, told, np.array(near))
 

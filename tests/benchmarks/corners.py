@@ -23,7 +23,7 @@ import numpy as np
 
 from calibration.intrinsics import FloatArray
 from station.perception.corners import MarkerDetector
-from station.perception.edges import edge_shift_jacobian
+from station.quadrilaterals import edge_shift_jacobian
 from tests import rendered_markers
 
 SIZE_M = 0.05

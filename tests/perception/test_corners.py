@@ -7,7 +7,7 @@ import pytest
 from calibration.intrinsics import CameraModel, FloatArray
 from station.errors import InvalidData
 from station.perception.corners import Detections, MarkerDetector
-from station.perception.edges import edge_shift_jacobian, shift_edges
+from station.quadrilaterals import edge_shift_jacobian, shift_edges
 
 SIZE_M = 0.05
 CELLS = 6

@@ -7,8 +7,8 @@ import pytest
 
 from calibration.intrinsics import CameraModel, FloatArray
 from station.kinematics import se3
-from station.perception.edges import shift_edges
 from station.perception.pose import UNIT_CORNERS, estimate_poses, inverse_information, viewing_angles
+from station.quadrilaterals import shift_edges
 from tests.noisy_corners import joint
 
 SIZE_M = 0.05

@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 
 from calibration.intrinsics import CameraModel, FloatArray
-from station.perception.edges import edge_shift_jacobian
 from station.perception.profiles import LIGHT_MARGIN_PX, linear_light
 from station.perception.refinement import refine_corners
+from station.quadrilaterals import edge_shift_jacobian
 from tests.rendered_markers import marker_bits
 
 SIZE_M = 0.05

@@ -75,6 +75,11 @@ def learn_paper(log: PoseLog, options: FitOptions | None = None, steps: PaperSte
             "seed": steps.seed,
         },
         warnings=_warnings(complete, [each.joint for each in read]),
+        mounts={
+            parts.parts[k]: T
+            for group in skeleton.groups
+            for k, T in zip(group.members[1:], group.mounts[1:], strict=True)
+        },
     )
     return Fit(tree, _states(log, complete, read))
 

@@ -1,0 +1,145 @@
+"""A whole tree refined on the corners of its markers: every joint, mount, state, and the camera's numbers at once.
+
+The steps are those of the fit to poses (tree_solver): each frame's states eliminated, so that time is linear in frames.
+What moves while a rolling shutter reads a frame is taken from the frames around as they are, and again when these are
+better known.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from station.fit.image.camera_numbers import Unknowns
+from station.fit.image.corner_data import CornerData, corner_data
+from station.fit.image.corner_noise import scales_of
+from station.fit.image.image_fit import ImageFit
+from station.fit.image.repeated_errors import shared_covariance
+from station.fit.image.views import COORDINATES, Views
+from station.fit.noise import INLIER_ABOVE
+from station.fit.skeleton import Skeleton, TreeModel
+from station.fit.tree_motion import tree_poses
+from station.fit.tree_problem import Prior, Problem
+from station.fit.tree_solver import Solution, refined
+from station.fit.whole_tree import TreeFit, state_covariances
+from station.logs import FloatArray
+
+BoolArray = NDArray[np.bool_]
+
+# Rounds of the noise and of the motion between frames, which each makes better known.
+ROUNDS = 10
+# Relative change of a marker's scale, and change of the residuals in deviations (root mean square), that ask for
+# another.
+SCALE_CHANGE, MOTION_CHANGE = 0.03, 0.01
+
+
+@dataclass(frozen=True, eq=False)
+class Refined:
+    """A tree fitted to corners: as the fit to poses has it, without what all parts share, and what else was found."""
+
+    fit: TreeFit
+    image: ImageFit
+
+
+def refine_image(
+    skeleton: Skeleton, model: TreeModel, parts: tuple[str, ...], views: Views, unknowns: Unknowns
+) -> Refined:
+    """Least squares on corners, from a start.
+
+    Args:
+        skeleton: joints, bodies and K parts.
+        model: parameters and states to start from, by the parts' poses.
+        parts: K names of the skeleton's parts.
+        views: of all of them.
+        unknowns: what of the camera is estimated.
+    """
+    skeleton = replace(skeleton, shared=len(unknowns.names))
+    model = replace(model, shared=unknowns.start)
+    prior = Prior(unknowns.start, np.array(unknowns.prior_std))
+    problem, solution = _solved(Problem(skeleton, corner_data(views, parts, unknowns), prior), model)
+    return _told(problem, solution)
+
+
+def _solved(problem: Problem[CornerData], model: TreeModel) -> tuple[Problem[CornerData], Solution]:
+    """The likeliest parameters and states, with the noise that each marker turned out to have."""
+    problem = _moving(problem, model)
+    solution = refined(problem, model)
+    for _ in range(ROUNDS):  # better weights and motions tell them better
+        scale = scales_of(problem, solution)
+        change = np.abs(np.log(scale / problem.measured.scale)).max(initial=0.0)
+        after = _moving(replace(problem, measured=replace(problem.measured, scale=scale)), solution.model)
+        if change <= SCALE_CHANGE and _motion_change(problem, after, solution.model) <= MOTION_CHANGE:
+            break
+        problem, solution = after, refined(after, solution.model)
+    return problem, solution
+
+
+def _moving(problem: Problem[CornerData], model: TreeModel) -> Problem[CornerData]:
+    """The problem with the parts' motion while a frame is read as the model has it."""
+    data = problem.measured
+    if data.motion is None:
+        return problem
+    T_ref_marker = tree_poses(problem.skeleton, model).parts[:, data.part]
+    return replace(problem, measured=replace(data, motion=data.motion.through(T_ref_marker)))
+
+
+def _motion_change(before: Problem[CornerData], after: Problem[CornerData], model: TreeModel) -> float:
+    """Root mean square change of the whitened residuals by another motion within the frames."""
+    if before.measured.motion is None:
+        return 0.0
+    T_ref_part = tree_poses(before.skeleton, model).parts
+    change = [problem.measured.residual_px(T_ref_part, model.shared) for problem in (before, after)]
+    whitened = after.measured.whitened(change[1] - change[0])
+    return float(np.sqrt(np.sum(whitened**2) / max(COORDINATES * after.measured.seen.sum(), 1)))
+
+
+def _told(problem: Problem[CornerData], solution: Solution) -> Refined:
+    skeleton, data, model = problem.skeleton, problem.measured, solution.model
+    inlier = data.inliers(solution.chi2)
+    poses = tree_poses(skeleton, model).parts
+    residual_px = data.residual_px(poses, model.shared)
+    covariance = shared_covariance(problem, solution)
+    states = state_covariances(skeleton, solution.last, covariance, 1.0)
+    own = slice(0, skeleton.parameters - skeleton.shared)
+    fit = TreeFit(model, covariance[own, own], states, _of_parts(data, inlier), _spread(data))
+    variances = np.diagonal(covariance)[skeleton.shared_columns]
+    at = data.views.frame, data.views.marker
+    image = ImageFit(
+        views=data.views,
+        T_ref_part=np.where(_known(skeleton, solution)[..., None, None], poses, np.nan),
+        numbers=data.unknowns.at(model.shared),
+        numbers_std=data.unknowns.stds(np.sqrt(variances)),
+        residual_px=residual_px[at],
+        chi2=solution.chi2[at],
+        inlier=inlier[at],
+        scale=data.scale,
+        doubtful=inlier[at] <= INLIER_ABOVE,
+    )
+    return Refined(fit, image)
+
+
+def _of_parts(data: CornerData, inlier: FloatArray) -> FloatArray:
+    """(T, K) probability that the best of a part's markers (T, M) is no outlier."""
+    found = np.zeros((len(inlier), len(data.views.parts)))
+    for m, k in enumerate(data.part):  # markers are few
+        found[:, k] = np.maximum(found[:, k], inlier[:, m])
+    return found
+
+
+def _spread(data: CornerData) -> FloatArray:
+    """(K, 2) largest scale of the markers of each part; 1 where none was seen."""
+    found = np.ones(len(data.views.parts))
+    for k in set(data.part.tolist()):
+        found[k] = data.scale[data.part == k].max()
+    return np.stack([found, found], axis=-1)
+
+
+def _known(skeleton: Skeleton, solution: Solution) -> BoolArray:
+    """(T, K) whether all states between a part and the reference were observed."""
+    told = np.concatenate(solution.last.each_chunk(lambda chunk: chunk.told))
+    known = {0: told[:, skeleton.joint_states :].all(axis=-1)}
+    for j, joint in enumerate(skeleton.joints):  # the near ones come first
+        known[joint.far] = known[joint.near] & told[:, skeleton.state_columns(j)].all(axis=-1)
+    return np.stack([known[body] for body in skeleton.body_of], axis=-1)
