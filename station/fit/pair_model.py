@@ -225,11 +225,22 @@ def residual_jacobian(residual: FloatArray) -> FloatArray:
 
 def stepped_frames(joint: JointType, frames: JointFrames, step: FloatArray) -> JointFrames:
     """Frames moved by parameter steps (..., n): those of T_parent_axis, of T_axis_child, of the form."""
+    return moved_frames(joint, frames, se3.exp(frame_twists(joint, step)), step)
+
+
+def frame_twists(joint: JointType, step: FloatArray) -> FloatArray:
+    """(2, ..., 6) twists of T_parent_axis and of T_axis_child by parameter steps (..., n)."""
     split, end = len(joint.axis_freedoms), len(joint.axis_freedoms) + len(joint.child_freedoms)
     twists = np.zeros((2, *step.shape[:-1], 6))
     twists[0][..., list(joint.axis_freedoms)] = step[..., :split]
     twists[1][..., list(joint.child_freedoms)] = step[..., split:end]
-    of_axis, of_child = se3.exp(twists)
+    return twists
+
+
+def moved_frames(joint: JointType, frames: JointFrames, motions: FloatArray, step: FloatArray) -> JointFrames:
+    """Frames moved by the motions (2, ..., 4, 4) of `frame_twists`, the form by its steps (..., n)."""
+    end = len(joint.axis_freedoms) + len(joint.child_freedoms)
+    of_axis, of_child = motions
     return JointFrames(frames.T_parent_axis @ of_axis, of_child @ frames.T_axis_child, frames.form + step[..., end:])
 
 

@@ -17,7 +17,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from station.fit.pairwise import stepped_frames
+from station.fit.pair_model import frame_twists, moved_frames
 from station.kinematics import se3
 from station.kinematics.joints import JointFrames, JointType
 from station.logs import FloatArray
@@ -183,13 +183,17 @@ class TreeModel:
 
 def with_parameters(skeleton: Skeleton, model: TreeModel, step: FloatArray) -> TreeModel:
     """The model with its parameters moved by (n,)."""
+    steps = [step[skeleton.joint_columns(j)] for j in range(len(skeleton.joints))]
+    twists = [frame_twists(joint.type, own) for joint, own in zip(skeleton.joints, steps, strict=True)]
+    free = np.flatnonzero(skeleton.free_mount)
+    of_mounts = [step[skeleton.mount_columns(k)][None] for k in free.tolist()]
+    motions = se3.exp(np.concatenate([np.zeros((0, 6)), *twists, *of_mounts]))  # one call costs as much as one motion
     frames = tuple(
-        stepped_frames(joint.type, f, step[skeleton.joint_columns(j)])
+        moved_frames(joint.type, f, motions[2 * j : 2 * j + 2], steps[j])
         for j, (joint, f) in enumerate(zip(skeleton.joints, model.frames, strict=True))
     )
     mounts = model.mounts.copy()
-    for k in np.flatnonzero(skeleton.free_mount).tolist():
-        mounts[k] = mounts[k] @ se3.exp(step[skeleton.mount_columns(k)])
+    mounts[free] = mounts[free] @ motions[2 * len(frames) :]
     return replace(model, frames=frames, mounts=mounts, shared=model.shared + step[skeleton.shared_columns])
 
 

@@ -119,8 +119,11 @@ def hat3(w: ArrayLike) -> FloatArray:
     """(..., 3, 3) skew matrix of w (..., 3), so that hat3(w) @ p = cross(w, p); paper, 12."""
     w = _floats(w, 3)
     out = np.zeros((*w.shape, 3))
-    out[..., 0, 1], out[..., 0, 2], out[..., 1, 2] = -w[..., 2], w[..., 1], -w[..., 0]
-    return out - np.swapaxes(out, -1, -2)
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        out[..., k, j] = w[..., i]
+        out[..., j, k] = -w[..., i]
+    return out
 
 
 def _powers(w: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -235,7 +238,12 @@ def _blocks(diagonal: FloatArray, upper: FloatArray) -> FloatArray:
 def adjoint(T: ArrayLike) -> FloatArray:
     """(..., 6, 6) Ad with T @ exp(xi) = exp(Ad xi) @ T."""
     moved = _floats(T, 4, 4)
-    return _blocks(moved[..., :3, :3], hat3(moved[..., :3, 3]) @ moved[..., :3, :3])
+    out, R = np.zeros((*moved.shape[:-2], 6, 6)), moved[..., :3, :3]
+    out[..., :3, :3] = out[..., 3:, 3:] = R
+    for i in range(3):  # rows of hat3(p) @ R, quicker than products of small matrices
+        j, k = (i + 1) % 3, (i + 2) % 3
+        out[..., i, 3:] = moved[..., j, 3:] * R[..., k, :] - moved[..., k, 3:] * R[..., j, :]
+    return out
 
 
 def _coupling(xi: FloatArray) -> FloatArray:
