@@ -17,7 +17,7 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from station.fit.asking import COMPARING, Asking, Explained, ask
+from station.fit.asking import COMPARING, SCREENING, Asking, Effort, Explained, ask
 from station.fit.bodies import Bodies, oriented_pairs
 from station.fit.comparison import MIN_FRAMES, question_of
 from station.fit.noise import INLIER_ABOVE, time_of_correlation
@@ -61,7 +61,7 @@ class _Slides:
     fits: tuple[JointFit, ...]
 
     @staticmethod
-    def of(structure: Structure, pairs: IntArray, joint_types: Sequence[str]) -> Asking[_Slides]:
+    def of(structure: Structure, pairs: IntArray, joint_types: Sequence[str], effort: Effort) -> Asking[_Slides]:
         bodies, known = structure.bodies, structure.known
         pairs = oriented_pairs(bodies, pairs)
 
@@ -69,7 +69,7 @@ class _Slides:
             best = [found.scores.best_type(i) for i in range(len(found.tracks.seen))]
             return [found.fits[name].take(np.array([i])) for i, name in enumerate(best)]
 
-        question = question_of(bodies, pairs, joint_types, COMPARING, "evidence", free=False, told=told, known=known)
+        question = question_of(bodies, pairs, joint_types, effort, "evidence", free=False, told=told, known=known)
         found = yield from ask(question)
         return _Slides(pairs, tuple(fit for piece in found for fit in piece))
 
@@ -85,11 +85,11 @@ def settled(structure: Structure, joint_types: Sequence[str]) -> Asking[tuple[St
     movable = [name for name in joint_types if JOINT_TYPES[name].states == 1]
     if len(structure.edges) < 2 or not movable:
         return structure, ()
-    slides = yield from _Slides.of(structure, structure.edges, movable)
+    slides = yield from _Slides.of(structure, structure.edges, movable, SCREENING)
     edges, doubts = list(range(len(slides.pairs))), list[Doubt]()
     kept: list[tuple[int, int]] = []
     for rows in _along_one_line(slides):  # such lines are few
-        chosen, doubted = yield from _settled_line(structure, slides.take(rows), movable)
+        chosen, doubted = yield from _settled_line(structure, slides.pairs[rows], movable)
         kept += chosen
         doubts += doubted
         edges = [edge for edge in edges if edge not in rows]
@@ -146,11 +146,11 @@ def _mean_pose(slides: _Slides, k: int, body: int) -> FloatArray:
 
 
 def _settled_line(
-    structure: Structure, edges: _Slides, joint_types: Sequence[str]
+    structure: Structure, along: IntArray, joint_types: Sequence[str]
 ) -> Asking[tuple[list[tuple[int, int]], list[Doubt]]]:
-    """The cheapest tree of the bodies of these edges, and what speaks for others."""
-    bodies = sorted({int(body) for body in edges.pairs.ravel()})
-    known = {_pair(pair) for pair in edges.pairs}
+    """The cheapest tree of the bodies of some edges (E, 2), and what speaks for others."""
+    bodies = sorted({int(body) for body in along.ravel()})
+    known = {_pair(pair) for pair in along}
     others = [
         (a, b)
         for a, b in combinations(bodies, 2)
@@ -159,7 +159,8 @@ def _settled_line(
     if not others:
         return list(known), []
     pairs = np.array(others, dtype=np.intp).reshape(-1, 2)
-    candidates = yield from _Slides.of(structure, pairs, joint_types)
+    edges = yield from _Slides.of(structure, along, joint_types, COMPARING)
+    candidates = yield from _Slides.of(structure, pairs, joint_types, COMPARING)
     worst = max(float(fit.model.scales.max()) for fit in edges.fits)
     as_good = [
         i

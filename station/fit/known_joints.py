@@ -39,7 +39,9 @@ class KnownJoints:
     def none(pairs: IntArray, joint_types: Sequence[str]) -> KnownJoints:
         """Of pairs (P, 2) of which nothing is known."""
         T, no = np.tile(np.eye(4), (len(pairs), 1, 1)), np.zeros(len(pairs), dtype=bool)
-        frames = {name: JointFrames(T, T, np.zeros((len(pairs), JOINT_TYPES[name].form_freedoms))) for name in joint_types}
+        frames = {
+            name: JointFrames(T, T, np.zeros((len(pairs), JOINT_TYPES[name].form_freedoms))) for name in joint_types
+        }
         return KnownJoints(pairs, no, no, frames)
 
     @staticmethod

@@ -25,7 +25,7 @@ IntArray = NDArray[np.intp]
 LM_ITERATIONS = 30
 # A pair is settled when a step promises to change its -2 log likelihood by less than this; 1 would be a standard
 # deviation.
-COST_TOLERANCE = 1e-3
+COST_TOLERANCE = 1e-2
 DAMPING_START, DAMPING_FALL, DAMPING_RISE, DAMPING_MIN, DAMPING_MAX = 1e-3, 0.2, 8.0, 1e-9, 1e8
 
 
