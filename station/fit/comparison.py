@@ -38,7 +38,7 @@ FULL_SHARE = 0.25
 # Ratio of deviations: a rigid joint with so many times the noise that its parts have elsewhere is no rigid joint.
 MISFIT = 4.0
 # The same by a first look, from which on a careful one makes no rigid joint of it.
-SCREEN_MISFIT = 3 * MISFIT
+SCREEN_MISFIT = 2 * MISFIT
 # How much better than the first look a careful one may make a pair, in -2 log likelihood of a frame: on simulated trees
 # it is 0.5 at the median and 3.2 at most.
 SCREEN_MARGIN = 6.0

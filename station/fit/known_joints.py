@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from station.kinematics.joints import JOINT_TYPES, JointFrames
-from station.logs import FloatArray
 
 BoolArray = NDArray[np.bool_]
 IntArray = NDArray[np.intp]
@@ -80,7 +79,7 @@ class KnownJoints:
         turned = [i for i, (a, b) in enumerate(asked) if (b, a) in row and (a, b) not in row]
         ours = KnownJoints(self.pairs, self.known, self.by_pose, {name: self.frames[name] for name in joint_types})
         found = found.with_rows(np.array(there, np.intp), ours.take(np.array([row[asked[i]] for i in there], np.intp)))
-        back = ours.take(np.array([row[asked[i][::-1]] for i in turned], np.intp)).turned()
+        back = ours.take(np.array([row[asked[i][1], asked[i][0]] for i in turned], np.intp)).turned()
         return found.with_rows(np.array(turned, np.intp), back)
 
     def turned(self) -> KnownJoints:

@@ -32,6 +32,7 @@ from station.fit.copies import without_copies
 from station.fit.fusion import fused_bodies, refined_mounts
 from station.fit.image.image_fit import joined
 from station.fit.image.views import Views
+from station.fit.known_joints import KnownJoints
 from station.fit.options import FitOptions, check_options
 from station.fit.parallel import products_in_one_thread
 from station.fit.reading import JointReading
@@ -141,8 +142,8 @@ def _check_views(log: PoseLog, options: FitOptions, views: Views | None) -> None
 
 def _find_structure(log: PoseLog, options: FitOptions, include: bool) -> Asking[Structure]:
     parts = with_reference(bodies_of_log(log), log.reference)
-    groups, bodies, known = singles(len(parts.names)), parts, None
-    edges = np.zeros((0, 2), dtype=np.intp)
+    groups, bodies, edges = singles(len(parts.names)), parts, np.zeros((0, 2), dtype=np.intp)
+    known = KnownJoints.none(edges, options.joint_types)
     for level in count():  # bodies of one round are the parts of the next; each round but the first merges some
         alone = _only_rigid(groups, include)
         pairs = _all_pairs(len(bodies.names), without=alone if options.root_static is False else None)

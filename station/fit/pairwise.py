@@ -87,7 +87,7 @@ def fit_types(
     tolerance: float = COST_TOLERANCE,
     known: KnownJoints | None = None,
 ) -> dict[str, JointFit]:
-    """Every type fitted to all pairs; pairs without orientations by their positions, those that are known from there."""
+    """Every type fitted to all pairs, from where it is known to be; pairs without orientations by their positions."""
     by_pose = told_by_pose(tracks)
     begun = np.zeros(len(by_pose), dtype=bool) if known is None else known.known & (known.by_pose == by_pose)
     rows = [np.flatnonzero((by_pose == kind) & (begun == there)) for kind in (True, False) for there in (True, False)]

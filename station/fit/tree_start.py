@@ -30,8 +30,8 @@ REFERENCE = 0  # the log's reference frame is the first of all parts while fitti
 
 @dataclass(frozen=True, eq=False)
 class Structure:
-    """Parts (reference first) with their noise, groups of them, the groups' bodies, the forest's edges (E, 2), and joints
-    of the bodies' pairs as the comparison left them.
+    """Parts (reference first) with their noise, groups of them, the groups' bodies, the forest's edges (E, 2), and
+    joints of the bodies' pairs as the comparison left them.
     """
 
     parts: Bodies
