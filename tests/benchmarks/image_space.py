@@ -49,8 +49,8 @@ ROWS: dict[str, tuple[Scene, Seeing]] = {
 
 
 HEAD = """\
-                              wrong |   image fit    |     chance     | within  |  pose  | elsewhere    |  95 % regions: inside
-scene                    runs trees | median <1.1 %  | median <1.1 %  | both, % | median | runs unsaid  | states   axes  points"""
+                            wrong |  image fit    |    chance     | within | pose  | elsewhere   | regions hold [%]
+scene                  runs trees | median <1.1 % | median <1.1 % | both % | med.  | runs unsaid | states  axes point"""
 
 
 @dataclass(frozen=True)
@@ -107,15 +107,15 @@ def share(values: np.ndarray, least: float, most: float = 1.0) -> str:
     """Percentage, and a mark where it misses by more than its standard error."""
     values = values[np.isfinite(values)]
     if not len(values):
-        return f"{'-':>6} "
+        return f"{'-':>5} "
     mean, error = float(np.mean(values)), float(np.std(values) / np.sqrt(len(values)))
-    return f"{100 * mean:6.1f}{' ' if least - error <= mean <= most + error else '<'}"
+    return f"{100 * mean:5.1f}{' ' if least - error <= mean <= most + error else '<'}"
 
 
 def row(name: str, found: list[Trial]) -> str:
     """One line of the table."""
     right = [trial for trial in found if not trial.mistake]
-    line = f"{name:24} {len(found):4d} {len(found) - len(right):5d} |"
+    line = f"{name:22} {len(found):4d} {len(found) - len(right):5d} |"
     if not right:
         return line
     ratios = np.array([joint for trial in right for joint in trial.ratios])
@@ -125,9 +125,8 @@ def row(name: str, found: list[Trial]) -> str:
     regions = " ".join(share(values, *WANTED_INSIDE) for values in inside.T)
     return (
         f"{line} {np.median(image):6.3f} {share(image <= WITHIN, WANTED_SHARE)} |"
-        f" {np.median(chance):6.3f} {share(chance <= WITHIN, 0.0)} |"
-        f" {share(image <= WITHIN * chance, WANTED_SHARE)} | {np.nanmedian(pose):6.3f} |"
-        f" {wrong:4d} {unsaid:6d}{'<' if unsaid else ' '} | {regions}"
+        f" {np.median(chance):6.3f} {share(chance <= WITHIN, 0.0)} | {share(image <= WITHIN * chance, WANTED_SHARE)} |"
+        f" {np.nanmedian(pose):5.2f} | {wrong:4d} {unsaid:5d}{'<' if unsaid else ' '} | {regions}"
     )
 
 

@@ -8,8 +8,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2, norm
 
-from station.fit.learner import learn
 from station.fit.image.views import IntArray, Views
+from station.fit.learner import learn
 from station.fit.options import FitOptions
 from station.fit.result import Fit
 from station.kinematics.tree import Joint
