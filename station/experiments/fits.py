@@ -28,7 +28,7 @@ from station.tree_scores import JointScore, TreeScores, score_tree
 # A worker tells what it has after so long, s: that much, and what is fitted together, is lost if it is killed.
 TELL_EVERY_S = 1.0
 # Cells that are fitted together, at most, and frames of all their pairs; more at a time take as long.
-MOST_TOGETHER, FRAMES_TOGETHER = 32, 4 * FRAMES_AT_ONCE
+MOST_TOGETHER, FRAMES_TOGETHER = 32, 8 * FRAMES_AT_ONCE
 STATE_UNITS = {"rad": 180 / math.pi, "m": 1000.0}
 
 

@@ -17,7 +17,7 @@ from tests.fit.image.simulated_views import Seeing, Watched, watched
 @pytest.fixture(scope="module")
 def seen() -> Watched:
     scene = Scene(joints=3, kinds=("revolute", "prismatic"), frames=150, tilt_deg=(0, 60))
-    return watched(21, scene, Seeing(sigma_px=0.1, edge_shift_px=0.15, missing=0.1))
+    return watched(25, scene, Seeing(sigma_px=0.1, edge_shift_px=0.15, missing=0.1))
 
 
 def worst_errors(fit: Fit, w: Watched) -> list[float]:
