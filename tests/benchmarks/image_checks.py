@@ -1,0 +1,147 @@
+"""How often a clean session is suspected of something, and how small a fault is found.
+
+Clean sessions of several kinds: shares in which any test found anything; wanted: at most 1 % of all. Then, one thing
+wrong at a time: in how many sessions it is found and named rightly, how well its time and size are told. Residuals are
+those at the true poses, out of which the tests take all that a fit can do; with --fit, a fit's own.
+
+Run: python -m tests.benchmarks.image_checks [--seed N] [--trials N] [--quick] [--only clean|faults] [--workers N]
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from station.fit.image_checks import LEVEL, ModelChecks, check_image
+from tests.benchmarks.arguments import each, parser, trials_of
+from tests.fit.image_checks.watched_trees import Session, Wrong, watched
+
+STATIC = Session()
+KINDS: dict[str, Session] = {
+    "static root": STATIC,
+    "moving root": replace(STATIC, moving_root=True),
+    "rests for most of the time": replace(STATIC, rests=0.7),
+    "rests, moving root": replace(STATIC, rests=0.7, moving_root=True),
+    "3 % outliers": replace(STATIC, outliers=0.03),
+    "noise stated half": replace(STATIC, stated=0.5),
+    "noise stated double": replace(STATIC, stated=2.0),
+    "screw, slide, ball, hinge": replace(STATIC, types=("screw", "prismatic", "spherical", "revolute")),
+    "two markers a part": replace(STATIC, markers=2),
+    "three trackers on the root": replace(STATIC, trackers=2, types=("revolute", "prismatic")),
+    "60 frames": replace(STATIC, frames=60),
+    "half unseen": replace(STATIC, unseen=0.5),
+}
+AT_S = 9.0
+
+
+@dataclass(frozen=True)
+class Fault:
+    """Something wrong by a size, and which kind of finding tells it."""
+
+    name: str
+    kind: str
+    sizes: tuple[float, ...]
+    unit: str
+
+    def wrong(self, size: float, rng: np.random.Generator) -> Wrong:
+        """Of that size, in a random direction."""
+        way = rng.standard_normal(3)
+        way = size * way / np.linalg.norm(way)
+        shift, turn = (*(1e-3 * way).tolist(), 0.0, 0.0, 0.0), (0.0, 0.0, 0.0, *np.radians(way).tolist())
+        made = {
+            "shifted": lambda: Wrong(AT_S, marker=int(rng.integers(4)), move=shift),
+            "turned": lambda: Wrong(AT_S, marker=int(rng.integers(4)), move=turn),
+            "camera turned": lambda: Wrong(AT_S, camera=turn),
+            "camera shifted": lambda: Wrong(AT_S, camera=shift),
+            "drifted": lambda: Wrong(drift=shift),
+            "focal": lambda: Wrong(focal=1.0 + 1e-2 * size),
+            "lens": lambda: Wrong(k1=size),
+            "edges": lambda: Wrong(edges_px=size),
+            "tilt": lambda: Wrong(tilted_px=size),
+        }
+        return made[self.name]()
+
+
+FAULTS = (
+    Fault("shifted", "marker", (0.03, 0.1, 0.3, 1.0, 3.0), "mm"),
+    Fault("turned", "marker", (0.1, 0.3, 1.0, 3.0), "deg"),
+    Fault("camera turned", "camera", (0.003, 0.01, 0.03, 0.3), "deg"),
+    Fault("camera shifted", "camera", (0.03, 0.1, 1.0), "mm"),
+    Fault("drifted", "camera_drift", (0.03, 0.1, 1.0), "mm"),
+    Fault("focal", "focal", (0.5, 1.0, 2.0, 4.0), "%"),
+    Fault("lens", "place", (0.01, 0.03, 0.1), "k1"),
+    Fault("edges", "edges", (0.05, 0.1, 0.2), "px"),
+    Fault("tilt", "tilt", (0.03, 0.1, 0.3), "px"),
+)
+
+
+def try_clean(job: tuple[str, tuple[int, ...]]) -> tuple[str, ...]:
+    """Kinds of what was found in a clean session."""
+    kind, seed = job
+    return tuple(f.kind for f in _checked(KINDS[kind], Wrong(), np.random.default_rng(seed)).findings)
+
+
+def try_fault(job: tuple[int, float, tuple[int, ...]]) -> tuple[bool, int, float, float, float]:
+    """Whether it was named rightly, findings beside it, error of its time [s], of that in deviations, its size."""
+    number, size, seed = job
+    rng, fault = np.random.default_rng(seed), FAULTS[number]
+    wrong = fault.wrong(size, rng)
+    findings = _checked(STATIC, wrong, rng).findings
+    right = [f for f in findings if f.kind == fault.kind and f.marker_id in (None, wrong.marker + 3)]
+    if not right:
+        return False, len(findings), np.nan, np.nan, np.nan
+    first = right[0]
+    late = np.nan if first.t_s is None else first.t_s - AT_S + 0.025
+    told = max((s.value for s in first.sizes if s.unit == fault.unit), default=np.nan)
+    return True, len(findings) - 1, late, late / first.t_std_s if first.t_std_s else np.nan, told
+
+
+def _checked(session: Session, wrong: Wrong, rng: np.random.Generator) -> ModelChecks:
+    return check_image(*watched(session, wrong, rng))
+
+
+def show_clean(seed: int, trials: int, workers: int) -> None:
+    """Print how often clean sessions are suspected, by kind and in all."""
+    print(f"clean sessions with a finding, of {trials} each; wanted in all at most {100 * LEVEL:g} %")
+    suspected = 0
+    for number, kind in enumerate(KINDS):
+        found = each(try_clean, [(kind, (seed, number, i)) for i in range(trials)], workers)
+        suspected += sum(map(bool, found))
+        what = ", ".join(sorted({name for names in found for name in names}))
+        print(f"{kind:30} {sum(map(bool, found)):4d}  {what}", flush=True)
+    total = trials * len(KINDS)
+    print(f"all: {suspected} of {total}, {100 * suspected / total:.2f} %")
+
+
+def show_faults(seed: int, trials: int, workers: int) -> None:
+    """Print how often each fault is found, and how well it is told."""
+    print(f"faults at t = {AT_S:g} s of 15, of {trials} sessions each, 0.1 px, 300 frames")
+    print(f"{'':16}{'size':>10}{'found %':>9}{'beside':>8}{'t RMS ms':>10}{'t / std':>9}{'told':>9}")
+    for number, fault in enumerate(FAULTS):
+        for size in fault.sizes:
+            jobs = [(number, size, (seed, 100 + number, i)) for i in range(trials)]
+            rows = np.array(each(try_fault, jobs, workers), dtype=float)
+            found = rows[rows[:, 0] > 0]
+            late, rate, told = (np.sqrt(np.mean(found[:, 2] ** 2)) * 1e3, np.sqrt(np.mean(found[:, 3] ** 2)),
+                                np.nanmedian(found[:, 4])) if len(found) else (np.nan,) * 3  # fmt: skip
+            print(
+                f"{fault.name:16}{f'{size:g} {fault.unit}':>10}{100 * len(found) / len(rows):9.0f}"
+                f"{rows[:, 1].mean():8.2f}{late:10.0f}{rate:9.2f}{told:9.3g}",
+                flush=True,
+            )
+
+
+def main() -> None:
+    """Parse the command line and print the tables."""
+    options = parser(__doc__, trials=100, quick=10)
+    options.add_argument("--only", choices=("clean", "faults"))
+    chosen = options.parse_args()
+    if chosen.only != "faults":
+        show_clean(chosen.seed, trials_of(chosen), chosen.workers)
+    if chosen.only != "clean":
+        show_faults(chosen.seed, trials_of(chosen), chosen.workers)
+
+
+if __name__ == "__main__":
+    main()
