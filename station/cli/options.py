@@ -16,6 +16,22 @@ class Method(StrEnum):
     paper = "paper"
 
 
+class Refine(StrEnum):
+    """What a tree is refined on."""
+
+    image = "image"
+    pose = "pose"
+    none = "none"
+
+
+class Told(StrEnum):
+    """Something that is found out, or told."""
+
+    auto = "auto"
+    yes = "yes"
+    no = "no"
+
+
 class Frames(StrEnum):
     """Ways to keep images."""
 

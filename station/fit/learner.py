@@ -38,8 +38,10 @@ from station.fit.reading import JointReading
 from station.fit.remarks import remarks
 from station.fit.result import Fit
 from station.fit.selection import CRITERIA, Scores
+from station.fit.standing import with_standing
 from station.fit.structure import components, outward, shallowest, spanning_forest
 from station.fit.subclusters import merged, singles
+from station.fit.telling import method_told
 from station.fit.tree_reading import REFERENCE, Structure, TreeReading, named_member, read_tree
 from station.kinematics.tree import Joint, KinematicTree
 from station.logs import FloatArray, JointLog, PoseLog
@@ -121,6 +123,8 @@ def _check(log: PoseLog, options: FitOptions) -> None:
     if include and log.reference in log.parts:
         raise InvalidData(f"a part has the reference frame's name '{log.reference}'; rename one")
     check_options(options, (*log.parts, log.reference) if include else log.parts)
+    if include and options.root_static is False:
+        raise InvalidData(f"'{log.reference}' is a part of the tree and stands still; leave open whether the root does")
 
 
 def _check_views(log: PoseLog, options: FitOptions, views: Views | None) -> None:
@@ -140,7 +144,8 @@ def _find_structure(log: PoseLog, options: FitOptions, include: bool) -> Asking[
     groups, bodies = singles(len(parts.names)), parts
     edges = np.zeros((0, 2), dtype=np.intp)
     for level in count():  # bodies of one round are the parts of the next; each round but the first merges some
-        pairs, alone = _all_pairs(len(bodies.names)), _only_rigid(groups, include)
+        alone = _only_rigid(groups, include)
+        pairs = _all_pairs(len(bodies.names), without=alone if options.root_static is False else None)
         table = yield from compare_pairs(bodies, pairs, options.joint_types, options.criterion, only_rigid=alone)
         if level == 0 and not table.enough.any():
             raise InvalidData(_too_few(log))
@@ -151,7 +156,10 @@ def _find_structure(log: PoseLog, options: FitOptions, include: bool) -> Asking[
             break
         if level == 0:
             parts = scaled_by_part(parts, _variances(table, chosen, len(parts.names)))
-        groups = merged(groups, table.pairs[rigid], table.T_a_b[rigid])
+        fixed, T_a_b = table.pairs[rigid], table.T_a_b[rigid]
+        if level == 0 and options.root_static and not include:
+            fixed, T_a_b = with_standing(parts, fixed, T_a_b, options.root)
+        groups = merged(groups, fixed, T_a_b)
         groups = refined_mounts(parts, groups)
         bodies = fused_bodies(parts, groups)
     return Structure(parts, groups, bodies, edges)
@@ -163,8 +171,10 @@ def _too_few(log: PoseLog) -> str:
     return f"no two parts were seen together in {MIN_FRAMES} frames or more; seen: {counts} of {len(log.t_s)} frames"
 
 
-def _all_pairs(count: int) -> IntArray:
-    return np.stack(np.triu_indices(count, k=1), axis=-1).astype(np.intp)
+def _all_pairs(count: int, without: BoolArray | None) -> IntArray:
+    """(P, 2) pairs of bodies, but for some (K,) that are in none."""
+    pairs = np.stack(np.triu_indices(count, k=1), axis=-1).astype(np.intp)
+    return pairs if without is None else pairs[~without[pairs].any(axis=-1)]
 
 
 def _only_rigid(groups: Sequence[Group], include: bool) -> BoolArray:
@@ -244,18 +254,19 @@ def _assembled(
     trees = tuple(tuple(body_name[k] for k in tree) for tree in bodies)
     by_edge = {tuple(sorted(item[:2])): joint for item, joint in zip(read, joints, strict=True)}
     told = [(by_edge[d.edge], body_name[d.other[0]], body_name[d.other[1]], d.odds) for d in doubts]
+    images = [tree.image for tree in trees_read if tree.image is not None]
+    image = joined(images) if images else None
     tree = KinematicTree(
         root=body_name[roots[0]],
         parts=names if include else names[1:],
         rigid_groups=tuple(group for group in rigid if len(group) > 1),
         trees=trees,
         joints=tuple(joints),
-        method={"name": options.method, "criterion": options.criterion, "joint_types": list(options.joint_types)},
+        method=method_told(options, image, root_static=REFERENCE in groups[roots[0]].members),
         warnings=remarks(log, joints, readings, trees, told),
         mounts=mounts,
     )
-    images = [tree.image for tree in trees_read if tree.image is not None]
-    return Fit(tree, _states(log, joints, readings), joined(images) if images else None)
+    return Fit(tree, _states(log, joints, readings), image)
 
 
 def _scored(joint: Joint, scores: Scores, pair: int, options: FitOptions) -> Joint:

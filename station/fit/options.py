@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from station.errors import InvalidData
+from station.fit.image.camera_numbers import NUMBERS
 from station.fit.selection import FREE, check_criterion
 from station.kinematics.joints import JOINT_TYPES
 
@@ -24,6 +25,7 @@ class FitOptions:
         joint_types: the candidates; "free", the hypothesis that nothing joins two parts, may be one of them.
         root: part whose body becomes the root; None lets the fit choose.
         include_reference: whether the log's reference frame is a part; it always is when there is but one other.
+        root_static: whether the root stands still before the reference frame; None finds that out.
         refine: what the whole tree is refined on, one of `REFINEMENTS`; None is "image" where corners are known, else
             "pose".
         camera_numbers: of `CameraNumbers`, those that are estimated where the tree is refined on corners.
@@ -34,6 +36,7 @@ class FitOptions:
     joint_types: tuple[str, ...] = ("rigid", "prismatic", "revolute")
     root: str | None = None
     include_reference: bool = False
+    root_static: bool | None = None
     refine: str | None = None
     camera_numbers: tuple[str, ...] = ("edge_shift_px",)
 
@@ -52,12 +55,28 @@ def check_options(options: FitOptions, names: Sequence[str]) -> None:
     """Raise InvalidData for what doesn't exist, with the choices; `names` are those of the parts."""
     if options.method not in METHODS:
         raise InvalidData(f"method '{options.method}' is unknown; choose one of {', '.join(METHODS)}")
-    if options.refine not in (*REFINEMENTS, None):
-        raise InvalidData(f"can't refine on '{options.refine}'; choose one of {', '.join(REFINEMENTS)}")
+    _check_refinement(options)
     check_criterion(options.criterion)
     _check_joint_types(options)
     if options.root is not None and options.root not in names:
         raise InvalidData(f"no part '{options.root}' for a root; have {', '.join(names)}")
+
+
+def _check_refinement(options: FitOptions) -> None:
+    if options.refine not in (*REFINEMENTS, None):
+        raise InvalidData(f"can't refine on '{options.refine}'; choose one of {', '.join(REFINEMENTS)}")
+    unknown = [name for name in options.camera_numbers if name not in NUMBERS]
+    if unknown:
+        raise InvalidData(f"the camera has no number '{unknown[0]}'; choose of {', '.join(NUMBERS)}")
+    if options.method != "paper":
+        return
+    if options.refine in ("image", "pose"):
+        raise InvalidData(
+            f"method 'paper' can't refine on '{options.refine}': it joins pairs of poses, and has no corners; "
+            "want 'none', or method 'station'"
+        )
+    if options.root_static is not None:
+        raise InvalidData("method 'paper' can't be told whether the root stands still; want method 'station'")
 
 
 def _check_joint_types(options: FitOptions) -> None:

@@ -54,6 +54,13 @@ def solve(problem: Problem[Measured], model: TreeModel) -> tuple[Problem[Measure
     return problem, solution
 
 
+def unmoved(problem: Problem[Measured], model: TreeModel) -> Solution:
+    """A model as it is, as if it were where least squares ended."""
+    chi2 = problem.chi2(model)
+    inlier = problem.measured.weights(chi2)
+    return Solution(model, chi2, inlier, problem.linearised(model, inlier, 0.0))
+
+
 def _settled(problem: Problem[Measured], model: TreeModel) -> Solution:
     """All refined together; where frames don't fit then, their states sought anew, and again."""
     solution = refined(problem, model)

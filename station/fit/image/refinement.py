@@ -16,14 +16,14 @@ from station.fit.image.camera_numbers import Unknowns
 from station.fit.image.corner_data import CornerData, corner_data
 from station.fit.image.corner_noise import scales_of
 from station.fit.image.image_fit import ImageFit
+from station.fit.image.repeated_errors import shared_covariance
 from station.fit.image.views import COORDINATES, Views
 from station.fit.noise import INLIER_ABOVE
-from station.fit.pairwise import parameter_covariance
 from station.fit.skeleton import Skeleton, TreeModel
 from station.fit.tree_motion import tree_poses
 from station.fit.tree_problem import Prior, Problem
 from station.fit.tree_solver import Solution, refined
-from station.fit.whole_tree import TreeFit, repeats, state_covariances
+from station.fit.whole_tree import TreeFit, state_covariances
 from station.logs import FloatArray
 
 BoolArray = NDArray[np.bool_]
@@ -97,12 +97,10 @@ def _motion_change(before: Problem[CornerData], after: Problem[CornerData], mode
 
 def _told(problem: Problem[CornerData], solution: Solution) -> Refined:
     skeleton, data, model = problem.skeleton, problem.measured, solution.model
-    reduced = solution.last.reduced
     inlier = data.inliers(solution.chi2)
     poses = tree_poses(skeleton, model).parts
     residual_px = data.residual_px(poses, model.shared)
-    times = repeats(data.whitened(residual_px), inlier > INLIER_ABOVE, np.full(len(data.part), float(COORDINATES)))
-    covariance = parameter_covariance(reduced.H, reduced.unreduced) * times
+    covariance = shared_covariance(problem, solution)
     states = state_covariances(skeleton, solution.last, covariance, 1.0)
     own = slice(0, skeleton.parameters - skeleton.shared)
     fit = TreeFit(model, covariance[own, own], states, _of_parts(data, inlier), _spread(data))
