@@ -14,8 +14,7 @@ from station.logs import FloatArray
 REDUNDANT = 1e-10
 # What is known less well than this, m or rad, px, or as a share, isn't known: to it all is linear.
 LEAST_KNOWN = {"twist": (0.02, 0.02, 0.02, 0.2, 0.2, 0.2), "number": (1.0,)}
-# Directions that have less information than this share of the best known one, and with it hardly any of a gain, are left
-# out: sizes are of what is seen.
+# Directions that have less information than this share of the best known one are left out: sizes are of what is seen.
 FAINT = 1e-4
 # Ticks on either side of a change.
 LEAST_TICKS = 3

@@ -162,9 +162,7 @@ def _is_plausible(question: Question, effect: Effect) -> bool:
     return bool(np.linalg.norm(effect.size[:3]) < LARGEST[0] and np.linalg.norm(effect.size[3:]) < LARGEST[1])
 
 
-def _best_allowed(
-    state: _State, sure: Sequence[tuple[Question, Effect]]
-) -> tuple[Question, Effect, _State, bool]:
+def _best_allowed(state: _State, sure: Sequence[tuple[Question, Effect]]) -> tuple[Question, Effect, _State, bool]:
     """What explains the corners best, with the state that allows for it, and whether it is near enough to go on.
 
     Of large moves the sums tell little, as they go by slopes where the fit came to rest: the likeliest few are tried.

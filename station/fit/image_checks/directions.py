@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from calibration.intrinsics import CameraModel, project, project_jacobian
 from station.fit.image.image_fit import ImageFit
 from station.fit.image.projection import focused
-from station.fit.image.views import COORDINATES, CORNERS
+from station.fit.image.views import COORDINATES
 from station.fit.image_checks.weighing import Weights
 from station.kinematics import se3
 from station.logs import FloatArray
@@ -67,17 +67,18 @@ def whitened_rows(image: ImageFit, weights: Weights) -> Rows:
     T = image.T_ref_part[views.frame, views.part[views.marker]]
     known = np.isfinite(T).all(axis=(1, 2)) & np.isfinite(image.residual_px).all(axis=1)
     rows = np.flatnonzero(known & (weights.share > 0))
-    T, points = T[rows], views.points_m[views.marker[rows]]
-    p_cam = points @ np.swapaxes(T[:, :3, :3], -1, -2) + T[:, None, :3, 3]
+    poses, points = T[rows], views.points_m[views.marker[rows]]
+    p_cam = points @ np.swapaxes(poses[:, :3, :3], -1, -2) + poses[:, None, :3, 3]
     camera = focused(views.camera, image.numbers.focal)
-    by_point = project_jacobian(camera, p_cam) @ T[:, None, :3, :3]
+    by_point = project_jacobian(camera, p_cam) @ poses[:, None, :3, :3]
     by_pose = np.concatenate([by_point, -by_point @ se3.hat3(points)], axis=-1).reshape(-1, COORDINATES, TWIST)
     by_camera = _by_camera(camera, p_cam)
     scale = weights.scale[views.marker[rows]]
     covariance = views.covariance_px2[rows] * scale[:, None, None] ** 2
     together = np.concatenate([by_pose, by_camera, image.residual_px[rows, :, None]], axis=-1)
     share = weights.share[rows]
-    white = np.linalg.solve(np.linalg.cholesky(covariance), together) * np.sqrt(share)[:, None, None] if len(rows) else together
+    root = np.linalg.cholesky(covariance)
+    white: FloatArray = np.linalg.solve(root, together) * np.sqrt(share)[:, None, None]
     sigma = np.sqrt(np.median(np.einsum("nii->n", covariance) / COORDINATES)) if len(rows) else 0.0
     by_pose, by_camera, residual = white[..., :TWIST], white[..., TWIST:-1], white[..., -1]
     return Rows(rows, by_pose, by_camera, residual, share, weights.look[rows], float(sigma))
@@ -88,15 +89,18 @@ def _by_camera(camera: CameraModel, p_cam: FloatArray) -> FloatArray:
     xy = p_cam[..., :2] / p_cam[..., 2:]
     x, y = xy[..., 0], xy[..., 1]
     r2 = x * x + y * y
-    lens = np.stack(
-        [
-            xy * r2[..., None],
-            xy * r2[..., None] ** 2,
-            np.stack([2 * x * y, r2 + 2 * y * y], axis=-1),
-            np.stack([r2 + 2 * x * x, 2 * x * y], axis=-1),
-        ],
-        axis=-1,
-    ) * (camera.matrix[[0, 1], [0, 1]])[:, None]
+    lens = (
+        np.stack(
+            [
+                xy * r2[..., None],
+                xy * r2[..., None] ** 2,
+                np.stack([2 * x * y, r2 + 2 * y * y], axis=-1),
+                np.stack([r2 + 2 * x * x, 2 * x * y], axis=-1),
+            ],
+            axis=-1,
+        )
+        * (camera.matrix[[0, 1], [0, 1]])[:, None]
+    )
     px = project(camera, p_cam)
     by_focal, by_shift_px = px - camera.matrix[:2, 2], edge_shift_jacobian(px)
     oblique = (1.0 / np.maximum(_facing(p_cam), 0.05) - 1.0)[:, None, None]
@@ -108,9 +112,7 @@ def _facing(p_cam: FloatArray) -> FloatArray:
     """(R,) cosine of the angle between each marker's normal and the line of sight to it; corners (R, 4, 3)."""
     normal = np.cross(p_cam[:, 2] - p_cam[:, 0], p_cam[:, 3] - p_cam[:, 1])
     middle = p_cam.mean(axis=1)
-    cosine = np.einsum("ni,ni->n", normal, middle) / (
-        np.linalg.norm(normal, axis=1) * np.linalg.norm(middle, axis=1)
-    )
+    cosine = np.einsum("ni,ni->n", normal, middle) / (np.linalg.norm(normal, axis=1) * np.linalg.norm(middle, axis=1))
     return np.abs(cosine)
 
 

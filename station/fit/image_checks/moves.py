@@ -1,8 +1,8 @@
 """What was found so far, made a part of the model: the fit's poses where they had been with it.
 
-A large slip pulls the whole tree along, and its residuals are no longer small. So once one is found, the tree's numbers,
-the states and the slip itself are improved by the very sums that found it (Gauss-Newton steps), and what remains is
-tested again.
+A large slip pulls the whole tree along, and its residuals are no longer small. So once one is found, the tree's
+numbers, the states and the slip itself are improved by the very sums that found it (Gauss-Newton steps), and what
+remains is tested again.
 """
 
 from __future__ import annotations
@@ -45,20 +45,20 @@ def model_px(image: ImageFit, moves: Sequence[Move]) -> FloatArray:
     """(N, 8) where the corners are by an image fit's poses, after some moves; rolling shutters are left out."""
     views = image.views
     part = views.part[views.marker]
-    T = image.T_ref_part[views.frame, part]
+    poses = image.T_ref_part[views.frame, part]
     mounts = T_part_marker(views.points_m)[views.marker]
     centre = se3.translation(scene_centre(image))
     for move in moves:
         slip = se3.exp(move.profile[views.frame, None] * move.twist)
         kind, _, number = move.what.partition(" ")
         if kind == CAMERA:
-            T = centre @ slip @ se3.inverse(centre) @ T
+            poses = centre @ slip @ se3.inverse(centre) @ poses
         elif kind == "marker":
             own = (views.marker == int(number))[:, None, None]
-            T = np.where(own, T @ mounts @ slip @ se3.inverse(mounts), T)
+            poses = np.where(own, poses @ mounts @ slip @ se3.inverse(mounts), poses)
         else:
-            T = np.where((part == int(number))[:, None, None], T @ slip, T)
-    p_cam = views.points_m[views.marker] @ np.swapaxes(T[:, :3, :3], -1, -2) + T[:, None, :3, 3]
+            poses = np.where((part == int(number))[:, None, None], poses @ slip, poses)
+    p_cam = views.points_m[views.marker] @ np.swapaxes(poses[:, :3, :3], -1, -2) + poses[:, None, :3, 3]
     return projected(views.camera, image.numbers, p_cam).reshape(-1, COORDINATES)
 
 
@@ -94,9 +94,7 @@ def improved(
     first = len(numbers) - sum(widths)
     states = change_of_states(image, rows, free, allowed, numbers, added)
     poses = _moved_poses(tree, image, free, numbers[: free.by_parameters.shape[-1]], states)
-    after = [
-        replace(move, twist=move.twist + numbers[first + TWIST * i :][:TWIST]) for i, move in enumerate(moves)
-    ]
+    after = [replace(move, twist=move.twist + numbers[first + TWIST * i :][:TWIST]) for i, move in enumerate(moves)]
     return changed(image, poses, moves, after), after
 
 

@@ -30,9 +30,7 @@ def against_calibration(image: ImageFit, effect: Effect, log_chance: Callable[[f
     return replace(effect, size=size, covariance=effect.covariance + given, gain=gain, log_p=log_p)
 
 
-def calibration_allowed(
-    base: Sums, image: ImageFit, but: str = ""
-) -> tuple[Sums, list[tuple[str, FloatArray]]]:
+def calibration_allowed(base: Sums, image: ImageFit, but: str = "") -> tuple[Sums, list[tuple[str, FloatArray]]]:
     """The sums of a fit that may change the camera's numbers as far as the calibration leaves them open, all but one.
 
     An edge shift may be anything: what blur does to it is no calibration's. Lens coefficients whose deviations aren't

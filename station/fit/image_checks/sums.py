@@ -62,9 +62,7 @@ class Sums:
     PP: FloatArray
     Pr: FloatArray
 
-    def allowing(
-        self, what: str, profile: FloatArray, std: FloatArray | None = None, towards: float = 0.0
-    ) -> Sums:
+    def allowing(self, what: str, profile: FloatArray, std: FloatArray | None = None, towards: float = 0.0) -> Sums:
         """The same with a fit that may also change something by a profile (n,) over time.
 
         Args:
@@ -96,7 +94,9 @@ def sums(image: ImageFit, rows: Rows, free: Freedoms) -> Sums:
     P = numbers + COORDINATES * (int(rows.look.max(initial=-1)) + 1)
     tick = (np.arange(frames) * min(frames, MOST_TICKS)) // max(frames, 1)
     n = int(tick[-1]) + 1 if frames else 0
-    DD, DP, Dr, PP, Pr = np.zeros((n, D, D)), np.zeros((n, D, P)), np.zeros((n, D)), np.zeros((P, P)), np.zeros(P)
+    DD, DP, Dr, Pr = np.zeros((n, D, D)), np.zeros((n, D, P)), np.zeros((n, D)), np.zeros(P)
+    # Long looks' errors are known before to be of this deviation.
+    PP = np.diag((np.arange(P) >= numbers) / COMMON_SHARE)
     for first in range(0, frames, CHUNK):  # all at once would take gigabytes
         last = min(first + CHUNK, frames)
         some = slice(*np.searchsorted(views.frame[rows.rows], [first, last]).tolist())
@@ -105,10 +105,8 @@ def sums(image: ImageFit, rows: Rows, free: Freedoms) -> Sums:
         np.add.at(DD, at, gram[:, :D, :D])
         np.add.at(DP, at, gram[:, :D, D : D + P])
         np.add.at(Dr, at, gram[:, :D, -1])
-        PP += gram[:, D : D + P, D : D + P].sum(axis=0)
+        np.add(PP, gram[:, D : D + P, D : D + P].sum(axis=0), out=PP)
         Pr += gram[:, D : D + P, -1].sum(axis=0)
-    looks = np.arange(numbers, P)
-    PP[looks, looks] += 1.0 / COMMON_SHARE
     begins = np.flatnonzero(np.diff(tick, prepend=-1))
     ends = np.append(begins[1:], frames) - 1
     return Sums(columns, views.t_s[begins], views.t_s[ends], tick, DD, DP, Dr, PP, Pr)
@@ -230,7 +228,7 @@ def _best_states(S: FloatArray, Z: FloatArray) -> FloatArray:
     size = np.sqrt(np.maximum(np.einsum("tii->ti", H), 1e-300))
     H_unit = H / size[:, :, None] / size[:, None, :]
     # Unseen states have no information: theirs is set to some, their gradient is nothing.
-    diagonal = np.arange(H.shape[-1])
+    diagonal: IntArray = np.arange(H.shape[-1], dtype=np.intp)
     H_unit[:, diagonal, diagonal] = 1.0 + NOTHING
     return np.linalg.solve(H_unit, (S_t @ Z) / size[:, :, None]) / size[:, :, None]
 

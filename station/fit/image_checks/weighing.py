@@ -48,8 +48,8 @@ def weights(image: ImageFit) -> Weights:
     """How much each sighting counts.
 
     The fit's own word on outliers won't do: to it, all that follows when a marker moved may be outliers. Here a
-    sighting is one if it agrees with none of its marker's sightings just before and after. Nor will its word on a marker's
-    noise, for the same reason, where neighbours agree better than that.
+    sighting is one if it agrees with none of its marker's sightings just before and after. Nor will its word on a
+    marker's noise, for the same reason, where neighbours agree better than that.
     """
     views = image.views
     share, scale = np.zeros(len(views)), np.ones(len(views.marker_id))
@@ -73,7 +73,7 @@ def weights(image: ImageFit) -> Weights:
 
 def _apart(residual_px: FloatArray, covariance_px2: FloatArray) -> FloatArray:
     """(n, 4) squared differences of residuals (n, 8) to those of each neighbour, in units of their noise."""
-    root = np.linalg.cholesky(covariance_px2)
+    root: FloatArray = np.linalg.cholesky(covariance_px2)
     found = np.full((len(root), len(NEIGHBOURS)), np.inf)
     here = np.arange(len(root))
     for i, step in enumerate(NEIGHBOURS):

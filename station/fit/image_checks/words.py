@@ -43,7 +43,8 @@ def told(about: About, kind: str, effect: Effect, p_value: float, or_else: Seque
     views = about.image.views
     others = tuple(dict.fromkeys(_named(about, name) for name in or_else if name != effect.what))
     sizes, said = _SAID[kind](about, effect)
-    marker_id, part = None, None
+    marker_id: int | None = None
+    part: str | None = None
     if kind == "marker":
         marker = int(effect.what.split()[1])
         marker_id, part = int(views.marker_id[marker]), views.parts[views.part[marker]]

@@ -38,9 +38,7 @@ def with_fault(watched: Watched, wrong: Wrong) -> tuple[PoseLog, Views]:
     both = estimate_poses(px, SIZE_M, views.camera, views.covariance_px2)
     T_ref_part = both.T_cam_marker @ se3.inverse(T_part_marker)[:, None]
     faulty = replace(views, corners_px=px, T_ref_part=T_ref_part)
-    observations = replace(
-        watched.observations, corners_px=px, T_cam_marker=both.T_cam_marker, rms_px=both.rms_px
-    )
+    observations = replace(watched.observations, corners_px=px, T_cam_marker=both.T_cam_marker, rms_px=both.rms_px)
     sigma_px = None if watched.seeing.correlated else watched.seeing.stated * watched.seeing.sigma_px
     poses = track_parts(observations, watched.table, views.camera, sigma_px=sigma_px, readout_s=views.readout_s).poses
     return poses, faulty

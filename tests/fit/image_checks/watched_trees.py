@@ -112,9 +112,7 @@ def chain(types: tuple[str, ...], trackers: int, rng: np.random.Generator) -> Ki
     return KinematicTree("base", (*names, *extra), groups, (tuple(names),), tuple(joints))
 
 
-def watched(
-    session: Session, wrong: Wrong, rng: np.random.Generator
-) -> tuple[KinematicTree, ImageFit]:
+def watched(session: Session, wrong: Wrong, rng: np.random.Generator) -> tuple[KinematicTree, ImageFit]:
     """A session's tree, and its image fit with residuals at the true poses."""
     tree = chain(session.types, session.trackers, rng)
     t = np.arange(session.frames) / FPS
@@ -217,7 +215,9 @@ def _poses(tree: KinematicTree, session: Session, t: FloatArray, rng: np.random.
     facing = se3.exp_so3(np.array([np.pi - 0.4, 0.0, 0.0])) @ se3.exp_so3(rng.normal(0, 0.15, 3))
     T_cam_root = np.tile(se3.pose(facing, [-0.1, 0.0, 0.6]), (len(t), 1, 1))
     if session.moving_root:
-        T_cam_root = T_cam_root @ se3.exp(np.stack([*(sway(0.03) for _ in range(3)), *(sway(0.2) for _ in range(3))], -1))
+        T_cam_root = T_cam_root @ se3.exp(
+            np.stack([*(sway(0.03) for _ in range(3)), *(sway(0.2) for _ in range(3))], -1)
+        )
     relative = tree.forward(q)
     extra = {}
     for k, name in enumerate(n for n in tree.parts if n.startswith("base_")):
