@@ -11,6 +11,7 @@ import numpy as np
 from station.compare import compare as compare_logs
 from station.errors import InvalidData, InvalidFile, StationError
 from station.fit.image.views import COORDINATES, Views
+from station.fit.image_checks import ModelChecks, Residuals, checked_residuals
 from station.fit.learner import Fit, FitOptions, learn
 from station.fit_files import write_fit
 from station.formats.camera import parse_camera
@@ -109,11 +110,12 @@ def is_session(path: Path) -> bool:
 
 @dataclass(frozen=True)
 class FitResult:
-    """What a fit found and where it was written."""
+    """What a fit found and where it was written; `checks` of a tree that was refined on corners."""
 
     folder: Path
     fit: Fit
     notices: tuple[str, ...] = ()
+    checks: ModelChecks | None = None
 
 
 def fit(
@@ -126,7 +128,8 @@ def fit(
 ) -> FitResult:
     """Discover the kinematic tree in a session, or in a log of poses, and write it.
 
-    Writes kinematics.json, joint_states.csv, kinematics.urdf and a drawing of tree and states; for a session also
+    Writes kinematics.json, joint_states.csv, kinematics.urdf and a drawing of tree and states; for a tree refined on
+    corners residuals.parquet, what is left of them, tested for what the model doesn't know of; for a session also
     fit.rrd, which the viewer shows together with the recording. The joints of a session with commands are named by the
     commanded joint that they follow.
 
@@ -171,12 +174,13 @@ def fit(
         found = _of_poses(source, options, smoothed) if session is None else _of_session(session, options, smoothed)
     except InvalidData as error:
         raise InvalidData(f"{source}: {error}") from error
-    write_fit(found.fit, out, force=force)
+    found, residuals = _checked(found)
+    write_fit(found.fit, out, residuals=residuals, force=force)
     if session is not None and out == source / FIT_FOLDER:
         from station.recording import append_detected
 
         append_detected(source, found.fit.states, found.fit.tree, found.poses)
-    return FitResult(out, found.fit, found.notices)
+    return FitResult(out, found.fit, found.notices, None if residuals is None else residuals.checks)
 
 
 @dataclass(frozen=True, eq=False)
@@ -186,6 +190,15 @@ class _Found:
     fit: Fit
     poses: PoseLog
     notices: tuple[str, ...] = ()
+
+
+def _checked(found: _Found) -> tuple[_Found, Residuals | None]:
+    """A fit with a warning for each thing that its model doesn't know of, and what it leaves of the corners, if any."""
+    if found.fit.image is None:
+        return found, None
+    residuals = checked_residuals(found.fit.tree, found.fit.image)
+    warnings = (*found.fit.tree.warnings, *(finding.text for finding in residuals.checks.findings))
+    return replace(found, fit=replace(found.fit, tree=replace(found.fit.tree, warnings=warnings))), residuals
 
 
 def _of_poses(source: Path, options: FitOptions, smoothed: Smoother | None) -> _Found:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from station.compare import Comparison
+from station.fit.image_checks import Residuals
 from station.fit.result import Fit
 from station.logs import FloatArray
 from station.report.figure7 import Viewing
@@ -101,6 +102,7 @@ class Material:
         title: the session's name.
         facts: name, state, start, rig, what the session is of.
         fit: the tree and the states of its joints; None where nothing was fitted.
+        residuals: of corners, tested; None where the tree was not refined on them.
         comparison: with commands and read-back.
         viewing: by commanded joint.
         readback_steps: what a count of each joint's read-back is worth [rad or m], by joint.
@@ -114,6 +116,7 @@ class Material:
     title: str
     facts: Mapping[str, str] = field(default_factory=dict[str, str])
     fit: Fit | None = None
+    residuals: Residuals | None = None
     comparison: Comparison | None = None
     viewing: Viewing | None = None
     readback_steps: Mapping[str, float] = field(default_factory=dict[str, float])

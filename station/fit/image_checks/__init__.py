@@ -12,5 +12,6 @@ time, where that is more than was stated (changes).
 
 from station.fit.image_checks.checks import check_image
 from station.fit.image_checks.findings import LEVEL, Finding, ModelChecks, Size
+from station.fit.image_checks.residuals import Residuals, checked_residuals
 
-__all__ = ["LEVEL", "Finding", "ModelChecks", "Size", "check_image"]
+__all__ = ["LEVEL", "Finding", "ModelChecks", "Residuals", "Size", "check_image", "checked_residuals"]

@@ -54,14 +54,29 @@ def body_step(tree: KinematicTree, image: ImageFit, rows: Rows, own: Sums, body:
     freedom = float(TWIST * (len(seen) - 2))
     ratio = (len(seen) / LEAST_TICKS - 1.0) ** 2
     log_p = log_chance_of_a_step(as_chi2(gain.max() / noise, freedom), TWIST, ratio)
-    covariance = noise * (np.linalg.pinv(before_W[best - 1]) + np.linalg.pinv(before_W[-1] - before_W[best - 1]))
+    spread = np.linalg.pinv(before_W[best - 1]) + np.linalg.pinv(before_W[-1] - before_W[best - 1])
+    covariance: FloatArray = np.asarray(noise * spread, dtype=np.float64)
+    information: FloatArray = np.asarray(np.linalg.pinv(spread), dtype=np.float64)
     likely = np.zeros(len(own.start_s))
     np.add.at(likely, own.tick[seen[cuts]], np.exp(0.5 * (gain - gain.max()) / noise))
     profile = (np.arange(len(likely)) >= own.tick[seen[best]]).astype(np.float64)
     gap = np.concatenate([own.start_s[:1], own.end_s[:-1]]), own.start_s
     size = second - first
-    gained = float(gain.max()) / noise
-    return Effect(CAMERA, profile, size, covariance, gained, log_p, TWIST, noise, freedom, likely / likely.sum(), gap)
+    return Effect(
+        CAMERA,
+        profile,
+        size,
+        covariance,
+        information,
+        float(gain.max()) / noise,
+        float(gain.max()),
+        log_p,
+        TWIST,
+        noise,
+        freedom,
+        likely / likely.sum(),
+        gap,
+    )
 
 
 def _between_blocks(W: FloatArray, left: FloatArray) -> float:

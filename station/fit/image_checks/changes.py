@@ -31,7 +31,9 @@ class Effect:
         profile: (n,) over the ticks, by which it goes.
         size: (d,) its numbers.
         covariance: (d, d) of these, by the noise seen.
+        information: (d, d) of these, in units of the covariances stated.
         gain: by how much twice the log likelihood grows, in units of the noise seen.
+        explained: what of the squared residuals, in units of the covariances stated.
         log_p: logarithm of the chance of as much by chance.
         directions: that are known; 0 if nothing is.
         noise: variance between blocks of time over what the covariances say, at least 1.
@@ -44,7 +46,9 @@ class Effect:
     profile: FloatArray
     size: FloatArray
     covariance: FloatArray
+    information: FloatArray
     gain: float
+    explained: float
     log_p: float
     directions: int
     noise: float
@@ -96,6 +100,7 @@ def taken_out(PP: FloatArray) -> FloatArray:
 class _Scan:
     """Information (m, d, d) and scores (m, d) by profile, after what a fit can do, and their gain (m,)."""
 
+    information: FloatArray
     known: _Known
     score: FloatArray
     gain: FloatArray
@@ -104,10 +109,11 @@ class _Scan:
 def _scan(A: FloatArray, B: FloatArray, g: FloatArray, root: FloatArray, Pr: FloatArray) -> _Scan:
     BR = B @ root
     score = g - BR @ (root.T @ Pr)
-    known = _known(A - BR @ np.swapaxes(BR, -1, -2))
+    information = A - BR @ np.swapaxes(BR, -1, -2)
+    known = _known(information)
     along = np.einsum("...ij,...i->...j", known.vectors, known.scale * score)
     gain = np.sum(np.where(known.counts, along**2 / np.where(known.counts, known.values, 1.0), 0.0), axis=-1)
-    return _Scan(known, score, gain)
+    return _Scan(information, known, score, gain)
 
 
 def step_effect(sums: Sums, what: str) -> Effect:
@@ -162,8 +168,23 @@ def _effect(
     # Of a move only what is seen is told; a number stands beside what the calibration says of it.
     known = scan.known.pseudo_inverse() if len(size) == len(LEAST_KNOWN["twist"]) else scan.known.inverse()
     covariance = noise * known[at]
-    gain = float(scan.gain[at]) / noise
-    return Effect(what, profile, size, covariance, gain, log_p, directions, noise, freedom, times, _gaps(sums))
+    explained = float(scan.gain[at])
+    information = scan.information[at]
+    return Effect(
+        what,
+        profile,
+        size,
+        covariance,
+        information,
+        explained / noise,
+        explained,
+        log_p,
+        directions,
+        noise,
+        freedom,
+        times,
+        _gaps(sums),
+    )
 
 
 def _gaps(sums: Sums) -> tuple[FloatArray, FloatArray]:
@@ -174,7 +195,9 @@ def _nothing(sums: Sums, what: str) -> Effect:
     c = sums.columns[what]
     d, n = c.stop - c.start, len(sums.start_s)
     unknown = np.full((d, d), np.inf)
-    return Effect(what, np.zeros(n), np.zeros(d), unknown, 0.0, 0.0, 0, 1.0, 0.0, np.zeros(0), _gaps(sums))
+    return Effect(
+        what, np.zeros(n), np.zeros(d), unknown, np.zeros((d, d)), 0.0, 0.0, 0.0, 0, 1.0, 0.0, np.zeros(0), _gaps(sums)
+    )
 
 
 def _from_on(values: FloatArray) -> FloatArray:

@@ -117,13 +117,16 @@ def check_image(tree: KinematicTree, image: ImageFit) -> ModelChecks:
     asked = _effects(state, questions)
     steps = _steps_of_bodies(state)
     tests = len(asked) + len(steps)
+    untested = _untested(image, [question for question, _ in asked], steps)
     findings: list[Finding] = []
     found: list[Question] = []
     while len(findings) < MOST_FINDINGS and (sure := [pair for pair in asked if _log_p(pair, tests) < np.log(LEVEL)]):
         question, effect, state, is_clear = _best_allowed(state, sure)
         log_p = _log_p((question, effect), tests)
-        moves = [(q, e) for q, e in asked if question.when == q.when == STEP and q != question]
-        or_else = [q.what for q, e in moves if _as_well(e, effect)] if is_clear else []
+        alike = [
+            (q, e) for q, e in asked if question.when == q.when and question.is_move == q.is_move and q != question
+        ]
+        or_else = [q.what for q, e in alike if _as_well(e, effect)] if is_clear else []
         found.append(question)
         findings.append(told(About(image, state.rows), question.kind, effect, float(np.exp(log_p)), or_else))
         asked = _effects(state, [q for q in questions if q.when == STEP or q not in found]) if is_clear else []
@@ -132,7 +135,7 @@ def check_image(tree: KinematicTree, image: ImageFit) -> ModelChecks:
         log_p = max(effect.log_p, steps[0].log_p) + float(np.log(tests))
         if log_p < np.log(LEVEL) and is_large(effect):
             findings.append(told(About(image, state.rows), "camera", effect, float(np.exp(log_p)), ()))
-    return ModelChecks(tuple(findings), tests, LEVEL, _untested(image))
+    return ModelChecks(tuple(findings), tests, LEVEL, untested)
 
 
 def _steps_of_bodies(state: _State) -> list[Effect]:
@@ -151,9 +154,8 @@ def _log_p(pair: tuple[Question, Effect], tests: int) -> float:
 
 
 def _merit(pair: tuple[Question, Effect]) -> float:
-    """Gain in units that all share, less what its numbers gain by chance."""
-    effect = pair[1]
-    return effect.gain * effect.noise - 2.0 * effect.directions
+    """What it explains, in units that all share, less what its numbers explain by chance."""
+    return pair[1].explained - 2.0 * pair[1].directions
 
 
 def _is_plausible(question: Question, effect: Effect) -> bool:
@@ -244,7 +246,8 @@ def _effects(state: _State, questions: Sequence[Question]) -> list[tuple[Questio
         elif question.when == RAMP:
             effect = constant_effect(bases[asked], question.what, ramp)
         else:
-            effect = against_calibration(image, constant_effect(bases[asked], question.what, ones), log_chance)
+            effect = constant_effect(bases[asked], question.what, ones)
+            effect = against_calibration(image, state.rows, effect, log_chance) if effect.directions else effect
         if effect.directions:
             found.append((question, effect))
     return found
@@ -258,10 +261,16 @@ def _ramp(base: Sums) -> FloatArray:
 
 def _as_well(other: Effect, best: Effect) -> bool:
     """Whether another way to be wrong explains nearly as much, in units of the same noise."""
-    gain = other.gain * other.noise / best.noise
-    return gain > best.gain - 2.0 * np.log(CLEARLY)
+    return other.explained > best.explained - 2.0 * best.noise * np.log(CLEARLY)
 
 
-def _untested(image: ImageFit) -> tuple[str, ...]:
-    edges = "the edge shift: the calibration doesn't tell one"
-    return () if image.views.camera.edge_shift_px is not None else (edges,)
+def _untested(image: ImageFit, asked: Sequence[Question], steps: Sequence[Effect]) -> tuple[str, ...]:
+    kinds = {question.kind for question in asked}
+    found: list[str] = []
+    if "camera" not in kinds and not steps:
+        found.append("whether the camera moved, as nothing that it sees stands still")
+    if image.views.camera.edge_shift_px is None:
+        found.append("the edge shift, of which the calibration says nothing")
+    silent = [f"marker {image.views.marker_id[m]}" for m in range(len(image.views.marker_id))]
+    silent = [name for m, name in enumerate(silent) if marker_name(m) not in {question.what for question in asked}]
+    return (*found, *(f"{name}, of whose place the corners tell nothing" for name in silent))

@@ -10,9 +10,8 @@ import numpy as np
 from station.fit.image.image_fit import ImageFit
 from station.fit.image.views import COORDINATES
 from station.fit.image_checks.changes import Effect
-from station.fit.image_checks.directions import Rows
+from station.fit.image_checks.directions import CAMERA, EDGES, FOCAL, PLACE, TILT, Rows
 from station.fit.image_checks.findings import UNITS, Finding, Size
-from station.fit.image_checks.priors import calibrated_covariance
 from station.logs import FloatArray
 
 # Sizes below this many deviations aren't told beside one that is above.
@@ -55,7 +54,8 @@ def told(about: About, kind: str, effect: Effect, p_value: float, or_else: Seque
     at = "" if t_s is None or t_std_s is None else f" at t = {_with_std(t_s, t_std_s)} s"
     text = said.format(subject=subject, at=at, sizes=" and ".join(map(str, sizes)))
     if others:
-        text += f", or {' or '.join(others)} did"
+        names = " or ".join(others)
+        text += f", or {names} did" if len(effect.times) else f"; {names} would explain it as well"
     return Finding(kind, text, sizes, p_value, marker_id, part, t_s, t_std_s, others)
 
 
@@ -64,7 +64,7 @@ def _named(about: About, what: str) -> str:
     kind, _, number = what.partition(" ")
     if kind == "marker":
         return f"marker {views.marker_id[int(number)]}"
-    return f"the markers of {views.parts[int(number)]}" if kind == "part" else f"the {kind}"
+    return f"the markers of {views.parts[int(number)]}" if kind == "part" else _CAMERA_NAMES[kind]
 
 
 def _with_std(value: float, std: float) -> str:
@@ -142,11 +142,9 @@ def _edges(about: About, effect: Effect) -> tuple[tuple[Size, ...], str]:
 
 def _place(about: About, effect: Effect) -> tuple[tuple[Size, ...], str]:
     """By the RMS of the corners' displacement that nothing else can do."""
-    own = effect.covariance - calibrated_covariance(about.image, effect.what)
-    count = COORDINATES * max(about.rows.pictures, 1.0)
-    rms = about.rows.sigma_px * np.sqrt(effect.noise * float(effect.size @ np.linalg.solve(own, effect.size)) / count)
-    std = about.rows.sigma_px * np.sqrt(effect.noise / count)
-    size = Size(float(rms), "px", float(std))
+    per_corner = about.rows.sigma_px / np.sqrt(COORDINATES * max(about.rows.pictures, 1.0))
+    rms = per_corner * np.sqrt(float(effect.size @ effect.information @ effect.size))
+    size = Size(float(rms), "px", float(per_corner * np.sqrt(effect.noise)))
     return (size,), "residuals depend on the place in the image, {sizes} RMS: the lens model or its numbers are wrong"
 
 
@@ -155,6 +153,13 @@ def _tilt(about: About, effect: Effect) -> tuple[tuple[Size, ...], str]:
     return (size,), "residuals depend on tilt: markers seen at 60 deg have their edges {sizes} farther out"
 
 
+_CAMERA_NAMES = {
+    CAMERA: "the camera",
+    EDGES: "the edge shift",
+    FOCAL: "the focal length",
+    PLACE: "a lens model of other numbers",
+    TILT: "an edge shift that depends on tilt",
+}
 _SAID = {
     "marker": _moved,
     "part": _moved,
