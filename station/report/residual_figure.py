@@ -5,12 +5,15 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from station.fit.image.views import CORNERS
 from station.fit.image_checks import Finding, Residuals
 from station.logs import FloatArray
 from station.report.style import LIGHT, WIDTH_IN, styled
 from station.report.tables import shortened
+
+IntArray = NDArray[np.intp]
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -113,7 +116,7 @@ def _draw_tilt(axes: Axes, residuals: Residuals) -> None:
     """RMS and what was stated, by tilt; and how far edges lie outward on average."""
     _titled(axes, "by tilt")
     good = residuals.good
-    bins = np.digitize(np.degrees(residuals.tilt_rad[good]), ANGLES_DEG[1:-1])
+    bins = np.digitize(np.degrees(residuals.tilt_rad[good]), ANGLES_DEG[1:-1]).astype(np.intp)
     count = np.bincount(bins, minlength=len(ANGLES_DEG) - 1)
     squared = np.mean(residuals.residual_px[good] ** 2, axis=(1, 2))
     outward = residuals.outward_px[good]
@@ -146,7 +149,7 @@ def _draw_tilt(axes: Axes, residuals: Residuals) -> None:
     axes.legend(loc="upper left", frameon=False, fontsize=8, ncols=1)
 
 
-def _means(bins: FloatArray, values: FloatArray, count: FloatArray) -> FloatArray:
+def _means(bins: IntArray, values: FloatArray, count: IntArray) -> FloatArray:
     sums = np.bincount(bins, weights=values, minlength=len(count))
     return np.where(count >= LEAST, sums / np.maximum(count, 1), np.nan)
 

@@ -54,9 +54,8 @@ def body_step(tree: KinematicTree, image: ImageFit, rows: Rows, own: Sums, body:
     freedom = float(TWIST * (len(seen) - 2))
     ratio = (len(seen) / LEAST_TICKS - 1.0) ** 2
     log_p = log_chance_of_a_step(as_chi2(gain.max() / noise, freedom), TWIST, ratio)
-    spread = np.linalg.pinv(before_W[best - 1]) + np.linalg.pinv(before_W[-1] - before_W[best - 1])
-    covariance: FloatArray = np.asarray(noise * spread, dtype=np.float64)
-    information: FloatArray = np.asarray(np.linalg.pinv(spread), dtype=np.float64)
+    spread = _pinv(before_W[best - 1]) + _pinv(before_W[-1] - before_W[best - 1])
+    covariance, information = noise * spread, _pinv(spread)
     likely = np.zeros(len(own.start_s))
     np.add.at(likely, own.tick[seen[cuts]], np.exp(0.5 * (gain - gain.max()) / noise))
     profile = (np.arange(len(likely)) >= own.tick[seen[best]]).astype(np.float64)
@@ -87,7 +86,7 @@ def _between_blocks(W: FloatArray, left: FloatArray) -> float:
     first = np.unique(np.linspace(0, len(W), BLOCKS, endpoint=False).astype(np.intp))
     of_W = np.add.reduceat(W, first, axis=0)
     of_s = np.add.reduceat((W @ left[..., None])[..., 0], first, axis=0)
-    squared = np.einsum("bi,bij,bj->b", of_s, np.linalg.pinv(of_W, hermitian=True), of_s)
+    squared = np.einsum("bi,bij,bj->b", of_s, _pinv(of_W), of_s)
     return float(np.mean(np.sort(squared)[:-2])) / TWIST if len(squared) > 2 else 1.0
 
 
@@ -105,8 +104,12 @@ def _poses(tree: KinematicTree, image: ImageFit, rows: Rows, body: str) -> tuple
     return poses, information
 
 
+def _pinv(W: FloatArray) -> FloatArray:
+    return np.asarray(np.linalg.pinv(W, rcond=FAINT**2, hermitian=True), dtype=np.float64)
+
+
 def _mean(W: FloatArray, s: FloatArray) -> FloatArray:
-    return np.linalg.pinv(W, rcond=FAINT**2) @ s
+    return _pinv(W) @ s
 
 
 def _gain(W: FloatArray, s: FloatArray, all_W: FloatArray, all_s: FloatArray) -> FloatArray:
@@ -114,6 +117,6 @@ def _gain(W: FloatArray, s: FloatArray, all_W: FloatArray, all_s: FloatArray) ->
     after_W, after_s = all_W - W, all_s - s
 
     def explained(of_W: FloatArray, of_s: FloatArray) -> FloatArray:
-        return np.einsum("...i,...ij,...j->...", of_s, np.linalg.pinv(of_W, hermitian=True), of_s)
+        return np.einsum("...i,...ij,...j->...", of_s, _pinv(of_W), of_s)
 
     return explained(W, s) + explained(after_W, after_s) - explained(all_W, all_s)

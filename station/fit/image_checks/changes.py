@@ -194,9 +194,22 @@ def _gaps(sums: Sums) -> tuple[FloatArray, FloatArray]:
 def _nothing(sums: Sums, what: str) -> Effect:
     c = sums.columns[what]
     d, n = c.stop - c.start, len(sums.start_s)
-    unknown = np.full((d, d), np.inf)
+    nothing: FloatArray = np.zeros((d, d), dtype=np.float64)
+    no_times: FloatArray = np.zeros(0, dtype=np.float64)
     return Effect(
-        what, np.zeros(n), np.zeros(d), unknown, np.zeros((d, d)), 0.0, 0.0, 0.0, 0, 1.0, 0.0, np.zeros(0), _gaps(sums)
+        what=what,
+        profile=np.zeros(n),
+        size=np.zeros(d),
+        covariance=nothing + np.inf,
+        information=nothing,
+        gain=0.0,
+        explained=0.0,
+        log_p=0.0,
+        directions=0,
+        noise=1.0,
+        freedom=0.0,
+        times=no_times,
+        gap_s=_gaps(sums),
     )
 
 

@@ -78,7 +78,7 @@ def whitened_rows(image: ImageFit, weights: Weights) -> Rows:
     together = np.concatenate([by_pose, by_camera, image.residual_px[rows, :, None]], axis=-1)
     share = weights.share[rows]
     root = np.linalg.cholesky(covariance)
-    white: FloatArray = np.linalg.solve(root, together) * np.sqrt(share)[:, None, None]
+    white = np.asarray(np.linalg.solve(root, together), dtype=np.float64) * np.sqrt(share)[:, None, None]
     sigma = np.sqrt(np.median(np.einsum("nii->n", covariance) / COORDINATES)) if len(rows) else 0.0
     by_pose, by_camera, residual = white[..., :TWIST], white[..., TWIST:-1], white[..., -1]
     return Rows(rows, by_pose, by_camera, residual, share, weights.look[rows], float(sigma))

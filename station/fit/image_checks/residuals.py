@@ -99,12 +99,13 @@ def checked_residuals(tree: KinematicTree, image: ImageFit) -> Residuals:
         image: what was found beside it.
     """
     views = image.views
-    variance = np.einsum("nii->n", views.covariance_px2) / COORDINATES
-    residual = image.residual_px.reshape(-1, CORNERS, 2)
+    part_of_marker = [views.parts[int(k)] for k in views.part]
+    variance: FloatArray = np.einsum("nii->n", views.covariance_px2) / COORDINATES
+    residual: FloatArray = image.residual_px.reshape(-1, CORNERS, 2)
     return Residuals(
         t_s=views.t_s[views.frame],
         marker_id=views.marker_id[views.marker],
-        part=tuple(views.parts[k] for k in views.part[views.marker].tolist()),
+        part=tuple(part_of_marker[m] for m in np.asarray(views.marker)),
         tilt_rad=tilts_rad(image),
         corners_px=views.corners_px,
         residual_px=residual,
@@ -122,6 +123,6 @@ def _outward(image: ImageFit, residual_px: FloatArray) -> FloatArray:
     """(N,) the shift of the edges that explains the residuals (N, 4, 2) best."""
     views = image.views
     model = views.corners_px - residual_px  # with the edge shift in it, which changes no direction
-    known = np.isfinite(model).all(axis=(1, 2))
+    known = np.asarray(np.isfinite(model).all(axis=(1, 2)))
     by_shift = edge_shift_jacobian(np.where(known[:, None, None], model, views.corners_px))
     return np.sum(residual_px * by_shift, axis=(1, 2)) / np.sum(by_shift**2, axis=(1, 2))

@@ -96,7 +96,9 @@ def sums(image: ImageFit, rows: Rows, free: Freedoms) -> Sums:
     n = int(tick[-1]) + 1 if frames else 0
     DD, DP, Dr, Pr = np.zeros((n, D, D)), np.zeros((n, D, P)), np.zeros((n, D)), np.zeros(P)
     # Long looks' errors are known before to be of this deviation.
-    PP = np.diag((np.arange(P) >= numbers) / COMMON_SHARE)
+    PP: FloatArray = np.zeros((P, P))
+    looks = np.arange(numbers, P, dtype=np.intp)
+    PP[looks, looks] = 1.0 / COMMON_SHARE
     for first in range(0, frames, CHUNK):  # all at once would take gigabytes
         last = min(first + CHUNK, frames)
         some = slice(*np.searchsorted(views.frame[rows.rows], [first, last]).tolist())
@@ -225,12 +227,13 @@ def _best_states(S: FloatArray, Z: FloatArray) -> FloatArray:
     """(F, s, C) changes of the states that explain columns Z (F, R, C) best; S (F, R, s) are their derivatives."""
     S_t = np.swapaxes(S, -1, -2)
     H = S_t @ S
-    size = np.sqrt(np.maximum(np.einsum("tii->ti", H), 1e-300))
+    diagonal = np.arange(H.shape[-1], dtype=np.intp)
+    size: FloatArray = np.sqrt(np.maximum(H[:, diagonal, diagonal], 1e-300))
     H_unit = H / size[:, :, None] / size[:, None, :]
     # Unseen states have no information: theirs is set to some, their gradient is nothing.
-    diagonal: IntArray = np.arange(H.shape[-1], dtype=np.intp)
     H_unit[:, diagonal, diagonal] = 1.0 + NOTHING
-    return np.linalg.solve(H_unit, (S_t @ Z) / size[:, :, None]) / size[:, :, None]
+    found = np.linalg.solve(H_unit, (S_t @ Z) / size[:, :, None]) / size[:, :, None]
+    return np.asarray(found, dtype=np.float64)
 
 
 def _projected(Z: FloatArray, S: FloatArray) -> FloatArray:

@@ -73,14 +73,15 @@ def weights(image: ImageFit) -> Weights:
 
 def _apart(residual_px: FloatArray, covariance_px2: FloatArray) -> FloatArray:
     """(n, 4) squared differences of residuals (n, 8) to those of each neighbour, in units of their noise."""
-    root: FloatArray = np.linalg.cholesky(covariance_px2)
+    root = np.asarray(np.linalg.cholesky(covariance_px2), dtype=np.float64)
     found = np.full((len(root), len(NEIGHBOURS)), np.inf)
     here = np.arange(len(root))
     for i, step in enumerate(NEIGHBOURS):
         there = here + step
         inside = (there >= 0) & (there < len(root))
         apart = (residual_px[there[inside]] - residual_px[inside]) / np.sqrt(2.0)
-        found[inside, i] = np.sum(np.linalg.solve(root[inside], apart[..., None])[..., 0] ** 2, axis=1)
+        white = np.asarray(np.linalg.solve(root[inside], apart[..., None]), dtype=np.float64)[..., 0]
+        found[inside, i] = np.sum(white**2, axis=1)
     return found
 
 

@@ -39,16 +39,9 @@ def told(about: About, kind: str, effect: Effect, p_value: float, or_else: Seque
         p_value: after all tests.
         or_else: names of what explains as much.
     """
-    views = about.image.views
     others = tuple(dict.fromkeys(_named(about, name) for name in or_else if name != effect.what))
     sizes, said = _SAID[kind](about, effect)
-    marker_id: int | None = None
-    part: str | None = None
-    if kind == "marker":
-        marker = int(effect.what.split()[1])
-        marker_id, part = int(views.marker_id[marker]), views.parts[views.part[marker]]
-    elif kind == "part":
-        part = views.parts[int(effect.what.split()[1])]
+    marker_id, part = _whose(about, effect.what)
     t_s, t_std_s = (None, None) if not len(effect.times) else _time(about, effect)
     subject = _named(about, effect.what)
     at = "" if t_s is None or t_std_s is None else f" at t = {_with_std(t_s, t_std_s)} s"
@@ -57,6 +50,16 @@ def told(about: About, kind: str, effect: Effect, p_value: float, or_else: Seque
         names = " or ".join(others)
         text += f", or {names} did" if len(effect.times) else f"; {names} would explain it as well"
     return Finding(kind, text, sizes, p_value, marker_id, part, t_s, t_std_s, others)
+
+
+def _whose(about: About, what: str) -> tuple[int | None, str | None]:
+    """The marker's id and the part that something is about."""
+    views = about.image.views
+    kind, _, number = what.partition(" ")
+    if kind == "marker":
+        marker = int(number)
+        return int(views.marker_id[marker]), views.parts[int(views.part[marker])]
+    return None, views.parts[int(number)] if kind == "part" else None
 
 
 def _named(about: About, what: str) -> str:

@@ -13,10 +13,11 @@ from station.report.residual_figure import marker_rows, residual_figure
 ALT = "Mean residuals over the image, by tilt, and by marker over time"
 HOW = (
     "Left: corners as detected less where the tree puts them, averaged over cells of the image: arrows every which way "
-    "are noise, a pattern is the lens. Right: residuals by the angle between the line of sight and the marker's normal, "
-    "in steps of 5 deg, beside the noise that is stated for these corners, of which the fit follows some; the mean shift "
-    "of the edges that is left; behind, where the markers were seen. Below: each marker over time, in the other colour "
-    "where it is more than three times what is stated; an upright line is where a test found that something moved."
+    "are noise, a pattern is the lens. Right: residuals by the angle between the line of sight and the marker's "
+    "normal, in steps of 5 deg, beside the noise that is stated for these corners, of which the fit follows some; the "
+    "mean shift of the edges that is left; behind, where the markers were seen. Below: each marker over time, in the "
+    "other colour where it is more than three times what is stated; an upright line is where a test found that "
+    "something moved."
 )
 TESTED = (
     "The tests ask for each marker, and each part of several, whether it moved on what it is on at some time, for the "
