@@ -192,8 +192,7 @@ def _gaps(sums: Sums) -> tuple[FloatArray, FloatArray]:
 
 
 def _nothing(sums: Sums, what: str) -> Effect:
-    c = sums.columns[what]
-    d, n = c.stop - c.start, len(sums.start_s)
+    n, d = len(sums.start_s), len(np.arange(sums.Dr.shape[1])[sums.columns[what]])
     nothing: FloatArray = np.zeros((d, d), dtype=np.float64)
     no_times: FloatArray = np.zeros(0, dtype=np.float64)
     return Effect(

@@ -99,13 +99,12 @@ def checked_residuals(tree: KinematicTree, image: ImageFit) -> Residuals:
         image: what was found beside it.
     """
     views = image.views
-    part_of_marker = [views.parts[int(k)] for k in views.part]
     variance: FloatArray = np.einsum("nii->n", views.covariance_px2) / COORDINATES
     residual: FloatArray = image.residual_px.reshape(-1, CORNERS, 2)
     return Residuals(
         t_s=views.t_s[views.frame],
         marker_id=views.marker_id[views.marker],
-        part=tuple(part_of_marker[m] for m in np.asarray(views.marker)),
+        part=tuple(np.array(views.parts)[views.part[views.marker]].tolist()),
         tilt_rad=tilts_rad(image),
         corners_px=views.corners_px,
         residual_px=residual,
