@@ -192,7 +192,7 @@ def _gaps(sums: Sums) -> tuple[FloatArray, FloatArray]:
 
 
 def _nothing(sums: Sums, what: str) -> Effect:
-    n, d = len(sums.start_s), len(np.arange(sums.Dr.shape[1])[sums.columns[what]])
+    n, d = len(sums.start_s), len(range(sums.Dr.shape[1])[sums.columns[what]])
     nothing: FloatArray = np.zeros((d, d), dtype=np.float64)
     no_times: FloatArray = np.zeros(0, dtype=np.float64)
     return Effect(
