@@ -102,7 +102,6 @@ class Material:
         title: the session's name.
         facts: name, state, start, rig, what the session is of.
         fit: the tree and the states of its joints; None where nothing was fitted.
-        residuals: of corners, tested; None where the tree was not refined on them.
         comparison: with commands and read-back.
         viewing: by commanded joint.
         readback_steps: what a count of each joint's read-back is worth [rad or m], by joint.
@@ -111,12 +110,13 @@ class Material:
         T_root_camera: (4, 4) where the camera stood, in the root's frame.
         counts: of session.json: frames, drops by reason, bus errors.
         events: in the order of their times.
+        redoing: what it takes to do the session again.
+        residuals: of corners, tested; None where the tree was not refined on them.
     """
 
     title: str
     facts: Mapping[str, str] = field(default_factory=dict[str, str])
     fit: Fit | None = None
-    residuals: Residuals | None = None
     comparison: Comparison | None = None
     viewing: Viewing | None = None
     readback_steps: Mapping[str, float] = field(default_factory=dict[str, float])
@@ -128,3 +128,4 @@ class Material:
     counts: Mapping[str, int] = field(default_factory=dict[str, int])
     events: Sequence[Happening] = ()
     redoing: Redoing = Redoing()
+    residuals: Residuals | None = None
