@@ -23,7 +23,7 @@ from station.perception.markers import MarkerTable
 from station.perception.neighbours import choose_by_neighbours
 from station.perception.observations import FrameMarkers, ObservationBuilder, ObservationLog
 from station.perception.pose import UNIT_CORNERS, MarkerPoses, estimate_poses
-from station.perception.rolling_shutter import at_frame_time
+from station.perception.rolling_shutter import at_frame_time, straightened
 
 
 def observe(detections: Detections, table: MarkerTable, camera: CameraModel) -> FrameMarkers:
@@ -119,6 +119,7 @@ def track_parts(
     covariance_px2 = total_covariance(observations, table.sizes_m(observations.marker_id), camera, sigma_px)
     weight = evidence_weights(observations)
     if readout_s:
+        observations = straightened(observations, camera.size_px[1], readout_s)
         observations, covariance_px2 = at_frame_time(observations, covariance_px2, camera.size_px[1], readout_s)
     hypotheses = estimate_hypotheses(observations, table, camera, covariance_px2, weight)
     return TrackedParts(hypotheses, choose_by_neighbours(hypotheses, choose_over_time(hypotheses)))
@@ -146,7 +147,8 @@ def views_of(
 ) -> Views:
     """A log's corners as a fit in the image takes them: on their parts, as detected, each with its covariance.
 
-    Markers that aren't in the table are left out; frames stay all.
+    Markers that aren't in the table are left out; frames stay all. What a rolling shutter does to edges is taken out,
+    each corner stays at its own row's time.
 
     Args:
         observations: corners, times, and poses by this very camera.
@@ -155,7 +157,10 @@ def views_of(
         sigma_px: standard deviation of a corner coordinate, as for `track_parts`.
         readout_s: time from the first to the last row of a rolling shutter; the camera's own if None.
     """
+    readout_s = (camera.readout_s or 0.0) if readout_s is None else readout_s
     covariance_px2 = total_covariance(observations, table.sizes_m(observations.marker_id), camera, sigma_px)
+    if readout_s:
+        observations = straightened(observations, camera.size_px[1], readout_s)
     return _views(observations, covariance_px2, table, camera, readout_s)
 
 
@@ -171,7 +176,7 @@ def views_of_frame(t_s: float, markers: FrameMarkers, table: MarkerTable, camera
     builder = ObservationBuilder()
     builder.add(t_s, markers)
     observations = builder.build()
-    return _views(observations, stated_covariance(observations), table, camera, None)
+    return _views(observations, stated_covariance(observations), table, camera, camera.readout_s or 0.0)
 
 
 def _views(
@@ -179,7 +184,7 @@ def _views(
     covariance_px2: FloatArray,
     table: MarkerTable,
     camera: CameraModel,
-    readout_s: float | None,
+    readout_s: float,
 ) -> Views:
     marker = table.rows(observations.marker_id)
     rows = np.flatnonzero(marker >= 0)
@@ -198,5 +203,5 @@ def _views(
         covariance_px2=covariance_px2[rows],
         T_ref_part=observations.T_cam_marker[rows] @ se3.inverse(mounts[marker[rows]])[:, None],
         camera=camera,
-        readout_s=(camera.readout_s or 0.0) if readout_s is None else readout_s,
+        readout_s=readout_s,
     )

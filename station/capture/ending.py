@@ -70,6 +70,7 @@ def end(
         with crew.clock.seat():
             _try(failures, leave)
         frames, recorder = crew.frames, crew.recorder
+        frames, recorder = crew.frames, crew.recorder
         for step in (frames.end, frames.check, crew.end_states, crew.tell_shed, recorder.end, recorder.check):
             _try(failures, step)
         state = "complete" if complete and not failures else "interrupted"

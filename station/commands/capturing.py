@@ -294,8 +294,11 @@ def _check_frames(settings: CaptureSettings) -> None:
 def _opened(
     rig_file: RigFile, settings: CaptureSettings, by_hand: HandMotion | None = None
 ) -> AbstractContextManager[Rig]:
+    from station.fit.image.live import StateFollower
     from station.rig import open_rig
 
+    if (tree := _known_tree(settings)) is not None:
+        StateFollower(tree, rig_file.table.marker_table().parts)  # before anything moves
     return open_rig(
         rig_file,
         simulate=settings.get("simulate", False),

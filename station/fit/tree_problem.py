@@ -132,10 +132,14 @@ class Linearised:
 
     def each_chunk(self, function: Callable[[FrameStates], Found]) -> list[Found]:
         """Results of a function of the states of each chunk."""
+        return self.each_rows(lambda rows, states: function(states))
+
+    def each_rows(self, function: Callable[[slice, FrameStates], Found]) -> list[Found]:
+        """Results of a function of each chunk's frames and states."""
 
         def of_chunk(work: tuple[slice, FrameStates]) -> Found:
             rows, held = work
-            return function(held if held.Z else self.again(rows))
+            return function(rows, held if held.Z else self.again(rows))
 
         return each(of_chunk, list(zip(self.rows, self.held, strict=True)))
 

@@ -110,6 +110,7 @@ def read_tree(
         start.skeleton,
         start.model,
         lambda parts: measured_parts(structure.parts, [start.parts[k] for k in parts]),
+        move=options.refine != "none",
     )
     image, seen = None, structure.parts.seen[:, list(start.parts)]
     if views is not None:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from station.fit.frame_states import with_likely_states
 from station.fit.skeleton import TreeModel, with_moved_states, with_parameters
@@ -13,15 +15,23 @@ from station.fit.tree_problem import Data, Linearised, Problem
 from station.fit.tree_residuals import Measured
 from station.logs import FloatArray
 
+IntArray = NDArray[np.intp]
+
 STEPS = 25
 # Times that states of frames that don't fit are sought anew with better parameters.
 ROUNDS = 3
 # Settled with the step that promises to change chi squared by less than this: what is left after it is of second order.
 SETTLED = 0.1
+# A frame that a step makes dearer by more, in -2 log likelihood, is looked into.
+DEARER = 1.0
 # Rounds of the parts' noise, and the relative change of a deviation that asks for another.
 NOISE_ROUNDS, NOISE_CHANGE = 3, 0.1
 # Damping is relative; none until a step fails. Below the least it is none again.
 DAMPING_FALL, DAMPING_RISE, DAMPING_FIRST, DAMPING_LEAST, DAMPING_MAX = 0.1, 10.0, 1e-3, 1e-5, 1e4
+
+
+# Problem, model before a step, model after it, frames: the model after it with better states in these.
+Mended = Callable[[Problem[Data], TreeModel, TreeModel, IntArray], TreeModel]
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,6 +64,13 @@ def solve(problem: Problem[Measured], model: TreeModel) -> tuple[Problem[Measure
     return problem, solution
 
 
+def unmoved(problem: Problem[Measured], model: TreeModel) -> Solution:
+    """A model as it is, as if it were where least squares ended."""
+    chi2 = problem.chi2(model)
+    inlier = problem.measured.weights(chi2)
+    return Solution(model, chi2, inlier, problem.linearised(model, inlier, 0.0))
+
+
 def _settled(problem: Problem[Measured], model: TreeModel) -> Solution:
     """All refined together; where frames don't fit then, their states sought anew, and again."""
     solution = refined(problem, model)
@@ -67,8 +84,15 @@ def _settled(problem: Problem[Measured], model: TreeModel) -> Solution:
     return solution
 
 
-def refined(problem: Problem[Data], model: TreeModel) -> Solution:
-    """Damped Gauss-Newton from a start."""
+def refined(problem: Problem[Data], model: TreeModel, mended: Mended[Data] | None = None) -> Solution:
+    """Damped Gauss-Newton from a start.
+
+    Args:
+        problem: a branch and what was measured.
+        model: where to start.
+        mended: has the states of frames (n,) sought anew, which a step made dearer: given the problem, the model before
+            the step, and after. A step goes too far in a few frames long before it does in all.
+    """
     skeleton, data, chi2, damping, steps = problem.skeleton, problem.measured, problem.chi2(model), 0.0, 0
     while True:
         heat = data.heat(chi2)
@@ -79,12 +103,17 @@ def refined(problem: Problem[Data], model: TreeModel) -> Solution:
         promise = 2 * last.reduced.promise - float(last.reduced.g @ step)
         tried = with_moved_states(skeleton, with_parameters(skeleton, model, step), last.states_step(step))
         tried_chi2 = problem.chi2(tried)
+        if mended is not None:
+            rows = np.flatnonzero(np.sum(hot.costs(tried_chi2 / heat) - hot.costs(chi2 / heat), axis=-1) > DEARER)
+            if rows.size:
+                tried = mended(replace(problem, measured=hot), model, tried, rows)
+                tried_chi2 = problem.chi2(tried)
         dearer = float(np.sum(hot.costs(tried_chi2 / heat) - hot.costs(chi2 / heat)))
         better = dearer + problem.prior.cost(tried.shared) - problem.prior.cost(model.shared) <= 0
         if better:
             model, chi2 = tried, tried_chi2
         steps += 1
-        if promise <= SETTLED or steps == STEPS:
+        if (promise <= SETTLED and damping <= DAMPING_LEAST) or steps == STEPS:
             break
         damping = _damping(damping, better=better)
         del last  # the largest of all; there is no room for two

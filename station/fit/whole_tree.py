@@ -21,7 +21,7 @@ from station.fit.tree_elimination import FrameStates
 from station.fit.tree_motion import tree_poses
 from station.fit.tree_problem import Linearised, Problem
 from station.fit.tree_residuals import Measured, tree_residuals
-from station.fit.tree_solver import Solution, solve
+from station.fit.tree_solver import Solution, solve, unmoved
 from station.logs import FloatArray
 
 BoolArray = NDArray[np.bool_]
@@ -50,20 +50,23 @@ class TreeFit:
     spread: FloatArray
 
 
-def refine_tree(skeleton: Skeleton, model: TreeModel, measured_of: Callable[[Sequence[int]], Measured]) -> TreeFit:
+def refine_tree(
+    skeleton: Skeleton, model: TreeModel, measured_of: Callable[[Sequence[int]], Measured], *, move: bool = True
+) -> TreeFit:
     """Least squares from a start; poses that don't fit are weighted down as outliers of the scene.
 
     Args:
         skeleton: joints, bodies and K parts.
         model: parameters and states to start from.
         measured_of: what was measured of some of the parts; asked for branch by branch, as it is large.
+        move: False leaves the start as it is, and tells how well it is known.
     """
     T_ref_root, frames = model.T_ref_root, list(model.frames)
     q, mounts, inlier = model.q.copy(), model.mounts.copy(), np.zeros((len(model.q), len(skeleton.body_of)))
     covariance, spread = np.zeros((skeleton.parameters, skeleton.parameters)), np.ones((len(skeleton.body_of), 2))
     state_covariance: list[FloatArray] = [np.zeros((len(q), 0, 0))] * len(skeleton.joints)
     for branch in branches(skeleton):
-        fit = _refine_branch(branch.skeleton, branch.model(skeleton, model), measured_of(branch.parts))
+        fit = _refine_branch(branch.skeleton, branch.model(skeleton, model), measured_of(branch.parts), move=move)
         columns, parts = branch.columns(skeleton), list(branch.parts)
         T_ref_root, covariance[columns[:, None], columns] = fit.model.T_ref_root, fit.covariance
         q[:, branch.state_columns(skeleton)], mounts[parts] = fit.model.q, fit.model.mounts
@@ -74,8 +77,9 @@ def refine_tree(skeleton: Skeleton, model: TreeModel, measured_of: Callable[[Seq
     return TreeFit(refined, covariance, tuple(state_covariance), inlier, spread)
 
 
-def _refine_branch(skeleton: Skeleton, model: TreeModel, measured: Measured) -> TreeFit:
-    problem, solution = solve(Problem(skeleton, measured), model)
+def _refine_branch(skeleton: Skeleton, model: TreeModel, measured: Measured, *, move: bool) -> TreeFit:
+    problem = Problem(skeleton, measured)
+    problem, solution = solve(problem, model) if move else (problem, unmoved(problem, model))
     measured, scale = problem.measured, _scale(problem, solution)
     covariance = parameter_covariance(solution.last.reduced.H, solution.last.reduced.unreduced) * scale
     covariance *= _repeats(skeleton, measured, solution)
@@ -94,20 +98,11 @@ def _scale(problem: Problem[Measured], solution: Solution) -> float:
 def _repeats(skeleton: Skeleton, measured: Measured, solution: Solution) -> float:
     """Frames in which an error repeats itself: what is shared by all frames is known so much less; at least 1."""
     whitened = tree_residuals(measured, tree_poses(skeleton, solution.model).parts).whitened
-    return repeats(whitened, solution.inlier > INLIER_ABOVE, measured.dimensions.max(axis=0))
-
-
-def repeats(whitened: FloatArray, good: BoolArray, dimensions: FloatArray) -> float:
-    """Frames in which an error repeats itself, of C things measured: their mean over all that count, at least 1.
-
-    Args:
-        whitened: (T, C, D) residuals.
-        good: (T, C) what counts.
-        dimensions: (C,) numbers measured of each in a frame.
-    """
-    frames, times = good.sum(axis=0), np.ones(good.shape[1])
+    good = solution.inlier > INLIER_ABOVE
+    frames, times = good.sum(axis=0), np.ones(len(skeleton.body_of))
     for k in np.flatnonzero(frames):  # memory asks for this loop
-        times[k] = time_of_correlation(whitened[None, :, k], good[None, :, k], dimensions[k : k + 1])[0]
+        dimensions = measured.dimensions[:, k].max(keepdims=True)
+        times[k] = time_of_correlation(whitened[None, :, k], good[None, :, k], dimensions)[0]
     return float(np.sum(frames * times) / max(np.sum(frames), 1))
 
 

@@ -56,6 +56,7 @@ from station.recording.rows import Rows
 from station.recording.thinning import Thinning
 from station.session import RECORDING_FILE, SessionDescription, lossless_files, recording_pieces
 
+READ = (COMMANDED, MEASURED, LIVE_STATES, SERVOS, OBSERVATIONS, EVENTS)
 Batches = Mapping[str, Sequence[pa.RecordBatch]]
 
 
@@ -225,10 +226,7 @@ def _files(path: Path) -> list[tuple[str, int]]:
 def _batches(stream: LazyChunkStream, *, piece: Path, thinning: Thinning) -> Batches:
     """The rows that a fit needs, by entity; static ones of the description only. Those of frames go to `thinning`."""
     thinning.begin(piece)
-    paths = [
-        PROPERTY_ENTITY,
-        *(f"/{entity}" for entity in (COMMANDED, MEASURED, LIVE_STATES, SERVOS, OBSERVATIONS, EVENTS)),
-    ]
+    paths = [PROPERTY_ENTITY, *(f"/{entity}" for entity in READ)]
     batches: dict[str, list[pa.RecordBatch]] = defaultdict(list)
     for chunk in stream.filter(content=paths):
         if chunk.is_static == (chunk.entity_path == PROPERTY_ENTITY):

@@ -10,8 +10,8 @@ from station.kinematics import se3
 from station.perception.markers import Marker, MarkerTable
 from station.perception.observations import ObservationLog
 from station.perception.pose import UNIT_CORNERS, estimate_poses
-from station.perception.rolling_shutter import at_frame_time, row_delay_s
-from station.tracking import track_parts
+from station.perception.rolling_shutter import at_frame_time, row_delay_s, straightened
+from station.tracking import track_parts, views_of
 from tests.noisy_corners import joint
 
 SIZE_M, FPS, READOUT_S, SIGMA_PX = 0.05, 30.0, 0.025, 0.03
@@ -27,15 +27,37 @@ def turning(t_s: FloatArray) -> FloatArray:
     return pivot @ se3.exp(np.stack([zero, zero, zero, zero, 0.3 * swing, swing], axis=-1)) @ link
 
 
-def rolling_corners(camera: CameraModel, t_s: FloatArray, readout_s: float) -> FloatArray:
-    """(F, 4, 2) px, each corner where it was when its row was read."""
-    seen_s = np.repeat(t_s[:, None], 4, axis=1)
-    for _ in range(10):  # a corner's row depends on when it is read
-        T = turning(seen_s)
-        p_cam = (T[..., :3, :3] @ (SIZE_M * UNIT_CORNERS)[..., None])[..., 0] + T[..., :3, 3]
-        px = project(camera, p_cam)
-        seen_s = t_s[:, None] + row_delay_s(px[..., 1], camera.size_px[1], readout_s)
+def rolling_points(camera: CameraModel, t_s: FloatArray, readout_s: float, points_m: FloatArray) -> FloatArray:
+    """(F, n, 2) px of points (n, 3) on the marker, each where it was when its row was read."""
+    px = np.tile(np.array(camera.size_px) / 2, (len(t_s), len(points_m), 1))
+    for _ in range(10):  # a point's row depends on when it is read
+        T = turning(t_s[:, None] + row_delay_s(px[..., 1], camera.size_px[1], readout_s))
+        px = project(camera, (T[..., :3, :3] @ points_m[..., None])[..., 0] + T[..., :3, 3])
     return px
+
+
+def own_corners(camera: CameraModel, t_s: FloatArray, readout_s: float) -> FloatArray:
+    """(F, 4, 2) px, each corner where it was when its row was read."""
+    return rolling_points(camera, t_s, readout_s, SIZE_M * UNIT_CORNERS)
+
+
+def meeting_lines(camera: CameraModel, t_s: FloatArray, readout_s: float) -> FloatArray:
+    """(F, 4, 2) px where the lines meet that fit the four edges best, clear of the corners."""
+    corners_m = SIZE_M * UNIT_CORNERS
+    share = np.linspace(0.04, 0.96, 24)[:, None]
+    edges_m = [(1 - share) * corners_m[e] + share * corners_m[(e + 1) % 4] for e in range(4)]
+    px = rolling_points(camera, t_s, readout_s, np.concatenate(edges_m)).reshape(len(t_s), 4, len(share), 2)
+    middle = px.mean(axis=2)
+    normal = np.linalg.svd(px - middle[:, :, None], full_matrices=False)[2][..., 1, :]
+    offset = np.sum(normal * middle, axis=-1)
+    pairs = np.stack([np.roll(normal, 1, axis=1), normal], axis=2)
+    return np.linalg.solve(pairs, np.stack([np.roll(offset, 1, axis=1), offset], axis=2)[..., None])[..., 0]
+
+
+def rolling_corners(camera: CameraModel, t_s: FloatArray, readout_s: float) -> FloatArray:
+    """(F, 4, 2) px as a detector tells them that fits lines to edges, what the lens bends them by taken out."""
+    by_lens = meeting_lines(camera, t_s, 0.0) - own_corners(camera, t_s, 0.0)
+    return meeting_lines(camera, t_s, readout_s) - by_lens
 
 
 def watched(camera: CameraModel, frames: int = 120, *, sigma_px: float = SIGMA_PX) -> ObservationLog:
@@ -112,3 +134,19 @@ def test_a_marker_that_stands_still_stays(camera: CameraModel) -> None:
     still = replace(seen, corners_px=np.repeat(seen.corners_px[:1], 3, axis=0))
     moved, _ = at_frame_time(still, joint(still.corner_covariance_px2), camera.size_px[1], READOUT_S)
     np.testing.assert_allclose(moved.corners_px, still.corners_px, atol=1e-9)  # px
+
+
+def test_corners_of_bent_edges_are_where_their_rows_saw_them(camera: CameraModel) -> None:
+    seen = watched(camera, sigma_px=0.0)
+    straight = straightened(seen, camera.size_px[1], READOUT_S)
+    own = own_corners(camera, seen.t_s, READOUT_S)[1:-1]
+    bent_px, left_px = (np.abs(of.corners_px[1:-1] - own).max() for of in (seen, straight))
+    assert bent_px > 0.08
+    assert left_px < 0.05 * bent_px
+    in_image = views_of(seen, TABLE, camera, readout_s=READOUT_S)
+    np.testing.assert_array_equal(in_image.corners_px, straight.corners_px)
+
+
+def test_a_marker_that_is_seen_once_stays_as_it_is(camera: CameraModel) -> None:
+    seen = watched(camera, 1, sigma_px=0.0)
+    np.testing.assert_allclose(straightened(seen, camera.size_px[1], READOUT_S).corners_px, seen.corners_px, atol=1e-9)

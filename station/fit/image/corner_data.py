@@ -16,7 +16,7 @@ from scipy.stats import chi2 as chi2_distribution
 
 from station.fit.image.camera_numbers import Unknowns
 from station.fit.image.projection import by_twists, corner_places, projected, with_derivatives
-from station.fit.image.shutter import Motion, motion_of, moved_points
+from station.fit.image.shutter import Motion, motion_of, moved_points, point_motions
 from station.fit.image.views import COORDINATES, CORNERS, IntArray, Views
 from station.fit.tree_data import PartEquations
 from station.fit.tree_residuals import BETTER_SHARE, HOT, better_ones
@@ -125,8 +125,7 @@ class CornerData:
         if self.motion is None:
             return np.zeros(self.px.shape)
         xi, by_readout = self.motion.at(readout_s)
-        p = moved_points(xi, self.views.points_m)
-        moves = by_readout[..., :3] + np.cross(by_readout[..., 3:], p)
+        moves = point_motions(xi, by_readout, self.views.points_m)
         turned = moves @ np.swapaxes(T_ref_part[:, self.part, :3, :3], -1, -2)
         return (by_place @ turned[..., None])[..., 0]
 

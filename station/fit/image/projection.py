@@ -13,6 +13,11 @@ from station.kinematics import se3
 from station.logs import FloatArray
 from station.quadrilaterals import edge_shift_jacobian
 
+# A corner whose edges, each moved by 1 px, move it by more: its angle is below 4 degrees, and it is none.
+SHARPEST = 30.0
+# Nothing is seen from farther off. On the way there residuals only fall, and so states would run away.
+FARTHEST_M = 1000.0
+
 
 def focused(camera: CameraModel, focal: float) -> CameraModel:
     """The camera with both focal lengths times a factor."""
@@ -31,7 +36,7 @@ class Projected:
     """Corners of M markers in T frames in the picture.
 
     Attributes:
-        px: (T, M, 4, 2); NaN behind the camera.
+        px: (T, M, 4, 2); NaN behind the camera, and beyond `FARTHEST_M`.
         by_shift_px: (T, M, 4, 2) motion by the edge shift.
         by_place: (T, M, 4, 2, 3) px/m.
         from_centre_px: (T, M, 4, 2) from the principal point: the change by the logarithm of the focal factor.
@@ -44,15 +49,15 @@ class Projected:
 
 
 def projected(camera: CameraModel, numbers: CameraNumbers, p_ref: FloatArray) -> FloatArray:
-    """(T, M, 4, 2) px of corners (T, M, 4, 3) in the camera's frame; NaN behind it."""
-    undisturbed = project(focused(camera, numbers.focal), p_ref)
+    """(T, M, 4, 2) px of corners (T, M, 4, 3) in the camera's frame; NaN behind it, and beyond `FARTHEST_M`."""
+    undisturbed = _seen(focused(camera, numbers.focal), p_ref)
     return undisturbed + numbers.edge_shift_px * _by_shift(undisturbed)
 
 
 def with_derivatives(camera: CameraModel, numbers: CameraNumbers, p_ref: FloatArray) -> Projected:
     """The same with the derivatives by the corners' places, and by the numbers."""
     focus = focused(camera, numbers.focal)
-    undisturbed = project(focus, p_ref)
+    undisturbed = _seen(focus, p_ref)
     by_shift_px = _by_shift(undisturbed)
     return Projected(
         undisturbed + numbers.edge_shift_px * by_shift_px,
@@ -62,13 +67,20 @@ def with_derivatives(camera: CameraModel, numbers: CameraNumbers, p_ref: FloatAr
     )
 
 
+def _seen(camera: CameraModel, p_ref: FloatArray) -> FloatArray:
+    return np.where(p_ref[..., 2:] < FARTHEST_M, project(camera, p_ref), np.nan)
+
+
 def _by_shift(px: FloatArray) -> FloatArray:
     """(T, M, 4, 2) motion of corners by the edge shift, by where they are without noise.
 
     By the corners as detected it would go with their noise, and the shift would fit that: over 1500 sightings by ten
-    deviations.
+    deviations. A start can put a marker behind the camera, or turn it edge on: it then has no edges to shift.
     """
-    return edge_shift_jacobian(px.reshape(-1, CORNERS, 2)).reshape(px.shape)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        found = edge_shift_jacobian(px.reshape(-1, CORNERS, 2)).reshape(px.shape)
+    known = np.all(np.abs(found) < SHARPEST, axis=(-2, -1), keepdims=True)  # NaN compares false
+    return np.where(known, found, 0.0)
 
 
 def by_twists(projected: Projected, p_ref: FloatArray, centre: FloatArray) -> FloatArray:

@@ -16,14 +16,15 @@ from station.fit.image.camera_numbers import Unknowns
 from station.fit.image.corner_data import CornerData, corner_data
 from station.fit.image.corner_noise import scales_of
 from station.fit.image.image_fit import ImageFit
+from station.fit.image.likely_states import Told, is_odd, mended, with_likely_states
+from station.fit.image.repeated_errors import shared_covariance
 from station.fit.image.views import COORDINATES, Views
 from station.fit.noise import INLIER_ABOVE
-from station.fit.pairwise import parameter_covariance
 from station.fit.skeleton import Skeleton, TreeModel
 from station.fit.tree_motion import tree_poses
 from station.fit.tree_problem import Prior, Problem
 from station.fit.tree_solver import Solution, refined
-from station.fit.whole_tree import TreeFit, repeats, state_covariances
+from station.fit.whole_tree import TreeFit, state_covariances
 from station.logs import FloatArray
 
 BoolArray = NDArray[np.bool_]
@@ -33,6 +34,8 @@ ROUNDS = 10
 # Relative change of a marker's scale, and change of the residuals in deviations (root mean square), that ask for
 # another.
 SCALE_CHANGE, MOTION_CHANGE = 0.03, 0.01
+# Times that states of frames that don't fit are sought anew with better parameters.
+SEEKING_ROUNDS = 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,14 +68,31 @@ def refine_image(
 def _solved(problem: Problem[CornerData], model: TreeModel) -> tuple[Problem[CornerData], Solution]:
     """The likeliest parameters and states, with the noise that each marker turned out to have."""
     problem = _moving(problem, model)
-    solution = refined(problem, model)
+    problem, solution = _settled(problem, model)
     for _ in range(ROUNDS):  # better weights and motions tell them better
         scale = scales_of(problem, solution)
         change = np.abs(np.log(scale / problem.measured.scale)).max(initial=0.0)
         after = _moving(replace(problem, measured=replace(problem.measured, scale=scale)), solution.model)
         if change <= SCALE_CHANGE and _motion_change(problem, after, solution.model) <= MOTION_CHANGE:
             break
-        problem, solution = after, refined(after, solution.model)
+        problem, solution = after, refined(after, solution.model, mended)
+    return problem, solution
+
+
+def _settled(problem: Problem[CornerData], model: TreeModel) -> tuple[Problem[CornerData], Solution]:
+    """All refined together; where frames don't fit then, their states sought anew, and again."""
+    solution, told = refined(problem, model, mended), Told.of(problem.measured)
+    in_vain = np.zeros(len(model.q), dtype=bool)
+    for _ in range(SEEKING_ROUNDS):  # better parameters may tell better states, and these better parameters
+        heat = problem.measured.heat(solution.chi2)
+        hot, chi2 = problem.measured.hotter(heat), solution.chi2 / heat
+        odd = is_odd(hot, chi2) & ~in_vain
+        likely, changed = with_likely_states(problem.skeleton, solution.model, hot, told, odd)
+        if not changed.any():
+            break
+        in_vain |= odd & ~changed
+        problem = _moving(problem, likely)
+        solution = refined(problem, likely, mended)
     return problem, solution
 
 
@@ -97,12 +117,10 @@ def _motion_change(before: Problem[CornerData], after: Problem[CornerData], mode
 
 def _told(problem: Problem[CornerData], solution: Solution) -> Refined:
     skeleton, data, model = problem.skeleton, problem.measured, solution.model
-    reduced = solution.last.reduced
     inlier = data.inliers(solution.chi2)
     poses = tree_poses(skeleton, model).parts
     residual_px = data.residual_px(poses, model.shared)
-    times = repeats(data.whitened(residual_px), inlier > INLIER_ABOVE, np.full(len(data.part), float(COORDINATES)))
-    covariance = parameter_covariance(reduced.H, reduced.unreduced) * times
+    covariance = shared_covariance(problem, solution)
     states = state_covariances(skeleton, solution.last, covariance, 1.0)
     own = slice(0, skeleton.parameters - skeleton.shared)
     fit = TreeFit(model, covariance[own, own], states, _of_parts(data, inlier), _spread(data))

@@ -83,8 +83,16 @@ def motion_of(t_s: FloatArray, row: FloatArray, seen: BoolArray) -> Motion:
 
 
 def moved_points(xi: FloatArray, p: FloatArray) -> FloatArray:
-    """exp(xi) p (..., 3) for twists (..., 6) [m, rad] that are small: to the third order in the turn, 1e-6 at 0.1."""
+    """exp(xi) p (..., 3) for small twists (..., 6) [m, rad]: to the third order, 4e-6 of the distance at 0.1 rad."""
     v, w = xi[..., :3], xi[..., 3:]
     first = v + np.cross(w, p)
     second = np.cross(w, first)
     return p + first + second / 2 + np.cross(w, second) / 6
+
+
+def point_motions(xi: FloatArray, by: FloatArray, p: FloatArray) -> FloatArray:
+    """(..., 3) change of `moved_points` where the twists change by (..., 6)."""
+    v, w, by_v, by_w = xi[..., :3], xi[..., 3:], by[..., :3], by[..., 3:]
+    first, by_first = v + np.cross(w, p), by_v + np.cross(by_w, p)
+    second, by_second = np.cross(w, first), np.cross(by_w, first) + np.cross(w, by_first)
+    return by_first + by_second / 2 + (np.cross(by_w, second) + np.cross(w, by_second)) / 6
