@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from station.fit.image.at_rest import AtRest, at_rest
 from station.fit.image.camera_numbers import Unknowns
 from station.fit.image.corner_data import CornerData, corner_data
 from station.fit.image.corner_noise import scales_of
@@ -44,6 +45,7 @@ class Refined:
 
     fit: TreeFit
     image: ImageFit
+    rest: AtRest
 
 
 def refine_image(
@@ -137,7 +139,7 @@ def _told(problem: Problem[CornerData], solution: Solution) -> Refined:
         scale=data.scale,
         doubtful=inlier[at] <= INLIER_ABOVE,
     )
-    return Refined(fit, image)
+    return Refined(fit, image, at_rest(problem, solution, states))
 
 
 def _of_parts(data: CornerData, inlier: FloatArray) -> FloatArray:
