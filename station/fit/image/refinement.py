@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from station.fit.image.at_rest import AtRest, at_rest
 from station.fit.image.camera_numbers import Unknowns
 from station.fit.image.corner_data import CornerData, corner_data
 from station.fit.image.corner_noise import scales_of
@@ -47,6 +48,7 @@ class Refined:
 
     fit: TreeFit
     image: ImageFit
+    rest: AtRest
 
 
 def refine_image(
@@ -157,7 +159,7 @@ def _told(problem: Problem[CornerData], solution: Solution, others: Others) -> R
         doubtful=unexplained(data, solution.chi2)[at] | two[:, data.part][at],
         two_answers=two,
     )
-    return Refined(fit, image)
+    return Refined(fit, image, at_rest(problem, solution, states))
 
 
 def _of_parts(data: CornerData, inlier: FloatArray) -> FloatArray:

@@ -38,6 +38,9 @@ ROOT_SWAY_M, ROOT_SWAY_RAD = 0.015, 0.12
 # Of a joint's point off the middle between its bodies, of a further tracker and of a marker on one off the first.
 POINT_M, TRACKER_M, MARKER_M = 0.06, 0.06, 0.045
 TURN_RAD = 0.35
+# A step's ramp takes so long for its speed.
+EASED_S = 0.1
+FOREVER_S = 1e3
 DRAWS, SHRINKING_EVERY = 20_000, 400
 CHECKED_TIMES = 40
 
@@ -141,14 +144,28 @@ def smooth_course(rng: np.random.Generator, duration_s: float) -> Course:
 
 
 def stepped_course(rng: np.random.Generator, duration_s: float) -> Course:
-    """Ramps of a third of a second between rests of half a second to two; many enough in short times."""
+    """Ramps of a third of a second between rests of half a second to two, eased; many enough in short times."""
     pace = min(duration_s, 10.0) / 10.0
     count = int(duration_s / pace / 0.8) + 2
     rest, ramp = rng.uniform(0.5, 2.0, count) * pace, 0.33 * pace
     begin = np.cumsum(rest + ramp) - ramp
     level = rng.uniform(-1, 1, count + 1)
     times, levels = np.stack([begin, begin + ramp], axis=-1).ravel(), np.repeat(level, 2)[1:-1]
-    return lambda t_s: np.interp(t_s, times, levels)
+    return eased(times, levels, EASED_S * pace)
+
+
+def eased(times_s: FloatArray, levels: FloatArray, within_s: float) -> Course:
+    """Straight lines between levels, averaged over a moving window: what has mass takes that time for a new speed."""
+    t = np.concatenate([[times_s[0] - FOREVER_S], times_s, [times_s[-1] + FOREVER_S]])
+    q = np.concatenate([levels[:1], levels, levels[-1:]])
+    area = np.concatenate([[0.0], np.cumsum(0.5 * (q[1:] + q[:-1]) * np.diff(t))])
+
+    def until(at_s: FloatArray) -> FloatArray:
+        k = np.clip(np.searchsorted(t, at_s) - 1, 0, len(t) - 2)
+        step = at_s - t[k]
+        return area[k] + step * q[k] + 0.5 * step**2 * ((q[k + 1] - q[k]) / (t[k + 1] - t[k]))
+
+    return lambda at_s: (until(at_s + 0.5 * within_s) - until(at_s - 0.5 * within_s)) / within_s
 
 
 COURSES = {"smooth": smooth_course, "steps": stepped_course}
