@@ -171,7 +171,7 @@ def fit(
             "want a session, whose recording has them, or refine on the poses: --refine pose"
         )
     try:
-        found = _of_poses(source, options, smoothed) if session is None else _of_session(session, options, smoothed)
+        found = _of_poses(source, options, smoothed) if session is None else discover(session, options, smoothed)
     except InvalidData as error:
         raise InvalidData(f"{source}: {error}") from error
     found, residuals = _checked(found)
@@ -184,7 +184,7 @@ def fit(
 
 
 @dataclass(frozen=True, eq=False)
-class _Found:
+class Discovery:
     """A fit, the poses that it is of, and what is to be said of them."""
 
     fit: Fit
@@ -192,7 +192,7 @@ class _Found:
     notices: tuple[str, ...] = ()
 
 
-def _checked(found: _Found) -> tuple[_Found, Residuals | None]:
+def _checked(found: Discovery) -> tuple[Discovery, Residuals | None]:
     """A fit with a warning for each thing that its model doesn't know of, and what it leaves of the corners, if any."""
     if found.fit.image is None:
         return found, None
@@ -201,45 +201,47 @@ def _checked(found: _Found) -> tuple[_Found, Residuals | None]:
     return replace(found, fit=replace(found.fit, tree=replace(found.fit.tree, warnings=warnings))), residuals
 
 
-def _of_poses(source: Path, options: FitOptions, smoothed: Smoother | None) -> _Found:
+def _of_poses(source: Path, options: FitOptions, smoothed: Smoother | None) -> Discovery:
     poses = read_pose_log(source)
     poses = poses if smoothed is None else smoothed(poses)
-    return _Found(learn(poses, options), poses)
+    return Discovery(learn(poses, options), poses)
 
 
-def _of_session(session: Session, options: FitOptions, smoothed: Smoother | None) -> _Found:
+def discover(session: Session, options: FitOptions, smoothed: Smoother | None = None) -> Discovery:
+    """The tree of a session, and its joints' states; see `fit`, which writes them."""
     by_image = options.method == "station" and options.refine in ("image", None) and smoothed is None
     views = session.views() if by_image else None
     found = _learned(session, options, smoothed, views)
     if found.fit.image is not None and (shift_px := _unknown_shift_px(found.fit.image)) is not None:
         again = _learned(session.with_edge_shift(shift_px), options, smoothed, views)
-        said = f"edges are seen {1e3 * shift_px:.0f} thousandths of a pixel outward; poses were made without that"
-        found = replace(again, notices=(said, *again.notices))
+        said = f"edges are seen {shift_px:.3f} px outward; poses were made anew without that, and the tree of them"
+        found = replace(found, notices=(said, *again.notices))
     notices = (*session.recording.notices, *found.notices)
     return replace(found, fit=_named_by_commands(found.fit, session.recording), notices=notices)
 
 
-def _learned(session: Session, options: FitOptions, smoothed: Smoother | None, views: Views | None) -> _Found:
+def _learned(session: Session, options: FitOptions, smoothed: Smoother | None, views: Views | None) -> Discovery:
     """A session's fit; where poses are ambiguous they are first chosen by what they alone tell of the tree."""
     as_they_are = session.poses if smoothed is None else smoothed(session.poses)
     if not session.tracked.choice.ambiguous.any():
-        return _Found(learn(as_they_are, options, views), as_they_are)
+        return Discovery(learn(as_they_are, options, views), as_they_are)
     by_poses = learn(as_they_are, options if views is None else replace(options, refine="pose"))
     turned = _chosen_by_tree(session, by_poses.tree)
     if turned is None and views is None:
-        return _Found(by_poses, as_they_are)
+        return Discovery(by_poses, as_they_are)
     poses, notices = (as_they_are, ()) if turned is None else (turned[0], (turned[1],))
     if turned is not None and smoothed is not None:
         poses = smoothed(poses)
-    return _Found(learn(poses, options, views), poses, notices)
+    return Discovery(learn(poses, options, views), poses, notices)
 
 
 def _unknown_shift_px(image: ImageFit) -> float | None:
     """The shift of edges that corners tell, where the poses that were made without it are worse for it; else None."""
     shift_px = image.numbers.edge_shift_px
     off_px, std_px = abs(shift_px - (image.views.camera.edge_shift_px or 0.0)), image.numbers_std.edge_shift_px
-    variance_px2 = np.median(np.trace(image.views.covariance_px2, axis1=1, axis2=2)) / COORDINATES
-    sure, matters = off_px > SURE_SIGMAS * std_px, off_px > MATTERS_SIGMAS * np.sqrt(variance_px2)
+    variance_px2 = np.trace(image.views.covariance_px2, axis1=1, axis2=2) / COORDINATES
+    noise_px = np.median(np.sqrt(variance_px2) * image.scale[image.views.marker])
+    sure, matters = off_px > SURE_SIGMAS * std_px, off_px > MATTERS_SIGMAS * noise_px
     return shift_px if sure and matters else None
 
 

@@ -30,6 +30,7 @@ from station.fit.bodies import Group, bodies_of_log, scaled_by_part, with_refere
 from station.fit.comparison import MIN_FRAMES, PairTable, compare_pairs, edge_weights
 from station.fit.copies import without_copies
 from station.fit.fusion import fused_bodies, refined_mounts
+from station.fit.image.doubts import remarks_on_corners
 from station.fit.image.image_fit import joined
 from station.fit.image.views import Views
 from station.fit.options import FitOptions, check_options
@@ -274,7 +275,7 @@ def _assembled(
         trees=trees,
         joints=tuple(joints),
         method=method_told(options, image, root_static=REFERENCE in groups[roots[0]].members),
-        warnings=remarks(log, joints, readings, trees, told),
+        warnings=(*remarks(log, joints, readings, trees, told), *(() if image is None else remarks_on_corners(image))),
         mounts=mounts,
     )
     rigid = RigidPairs()

@@ -172,6 +172,7 @@ def watched(session: Session, wrong: Wrong, rng: np.random.Generator) -> tuple[K
         np.ones(N),
         scale,
         np.zeros(N, dtype=bool),
+        np.zeros((len(t), K), dtype=bool),
     )
 
 
