@@ -199,6 +199,12 @@ def show_fitted_faults(seed: int, trials: int, workers: int) -> None:
         print(f"{name:24}{shares[0]:8.0f}{shares[1]:13.0f}{shares[2]:8.0f}{rms_ms:10.0f}", flush=True)
 
 
+def _median(values: np.ndarray) -> float:
+    """Of those that are known; NaN of none."""
+    known = values[np.isfinite(values)]
+    return float(np.median(known)) if len(known) else np.nan
+
+
 def show_faults(seed: int, trials: int, workers: int) -> None:
     """Print how often each fault is found, and how well it is told."""
     print(f"faults at t = {AT_S:g} s of 15, of {trials} sessions each, 0.1 px, 300 frames")
@@ -209,7 +215,7 @@ def show_faults(seed: int, trials: int, workers: int) -> None:
             rows = np.array(each(try_fault, jobs, workers), dtype=float)
             found = rows[rows[:, 0] > 0]
             late, rate, told = (np.sqrt(np.mean(found[:, 2] ** 2)) * 1e3, np.sqrt(np.mean(found[:, 3] ** 2)),
-                                np.nanmedian(found[:, 4])) if len(found) else (np.nan,) * 3  # fmt: skip
+                                _median(found[:, 4])) if len(found) else (np.nan,) * 3  # fmt: skip
             print(
                 f"{fault.name:16}{f'{size:g} {fault.unit}':>10}{100 * len(found) / len(rows):9.0f}"
                 f"{rows[:, 1].mean():8.2f}{late:10.0f}{rate:9.2f}{told:9.3g}",

@@ -36,6 +36,7 @@ class Rows:
         residual: (R, 8) measured less model.
         share: (R,) of a picture of its own that each counts.
         look: (R,) number of the long look, see `Weights`.
+        per_px2: (R,) information about a shift of one coordinate.
         sigma_px: of a coordinate, typical.
     """
 
@@ -45,6 +46,7 @@ class Rows:
     residual: FloatArray
     share: FloatArray
     look: IntArray
+    per_px2: FloatArray
     sigma_px: float
 
     @property
@@ -79,9 +81,10 @@ def whitened_rows(image: ImageFit, weights: Weights) -> Rows:
     share = weights.share[rows]
     root = np.linalg.cholesky(covariance)
     white = np.asarray(np.linalg.solve(root, together), dtype=np.float64) * np.sqrt(share)[:, None, None]
-    sigma = np.sqrt(np.median(np.einsum("nii->n", covariance) / COORDINATES)) if len(rows) else 0.0
+    variance: FloatArray = np.einsum("nii->n", covariance) / COORDINATES
+    sigma_px = float(np.sqrt(np.median(variance))) if len(rows) else 0.0
     by_pose, by_camera, residual = white[..., :TWIST], white[..., TWIST:-1], white[..., -1]
-    return Rows(rows, by_pose, by_camera, residual, share, weights.look[rows], float(sigma))
+    return Rows(rows, by_pose, by_camera, residual, share, weights.look[rows], share / variance, sigma_px)
 
 
 def _by_camera(camera: CameraModel, p_cam: FloatArray) -> FloatArray:
