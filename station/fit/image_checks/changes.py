@@ -129,11 +129,11 @@ def detector_noise(sums: Sums, what: str, profile: FloatArray) -> float:
     involved = np.einsum("tii->t", sums.DD[:, c, c]) > 0
     kind, _, number = what.partition(" ")
     of = sums.per_px2[:, int(number)][:, None] if kind == "marker" else sums.per_px2
-    of = of[involved][:, of.any(axis=0)]
-    w = profile[involved, None]
-    total = of.sum(axis=0)
+    seen = np.flatnonzero(of.sum(axis=0) > 0)
+    of, w = of[involved][:, seen], profile[involved, None]
+    total: FloatArray = of.sum(axis=0)
     spread = np.sum(of * w**2, axis=0) - np.sum(of * w, axis=0) ** 2 / total
-    return DETECTOR_PX**2 * float(np.mean(spread)) if len(total) else 0.0
+    return DETECTOR_PX**2 * float(np.mean(spread)) if len(seen) else 0.0
 
 
 def step_effect(sums: Sums, what: str) -> Effect:

@@ -78,7 +78,7 @@ class ModelChecks:
     @property
     def summary(self) -> str:
         """One sentence."""
-        tested = f"{self.tests} tests, false alarms in at most {100 * self.level:g} of 100 clean sessions"
+        tested = f"{self.tests} tests, at a level of {100 * self.level:g} in 100 for all together"
         count = len(self.findings)
         what = "nothing found" if not count else "1 finding" if count == 1 else f"{count} findings"
         return f"{what} ({tested})"

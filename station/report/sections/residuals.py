@@ -23,7 +23,8 @@ TESTED = (
     "The tests ask for each marker, and each part of several, whether it moved on what it is on at some time, for the "
     "camera whether it moved or drifted, for the focal length and the edge shift whether they disagree with the "
     "calibration, and whether residuals go with the place in the image or with tilt. What a joint's own motion can do, "
-    "and what holds from the first frame to the last, no residual shows. One clean session in a hundred has a finding."
+    "and what holds from the first frame to the last, no residual shows. The level is for all tests of a session "
+    "together."
 )
 
 

@@ -42,6 +42,16 @@ def test_a_clean_session_has_no_finding(session: Session) -> None:
     assert not any(found), found
 
 
+def test_a_detectors_own_error_that_changes_with_the_pose_is_no_slip() -> None:
+    """As on pictures: noise of 0.012 px, and beside it 0.008 px that turns round once, as slowly as the object."""
+    for seed in range(3):
+        tree, image = watched(replace(SHORT, sigma_px=0.012), Wrong(), np.random.default_rng(seed))
+        t_s = image.views.t_s[image.views.frame]
+        pattern = np.random.default_rng(9).choice([-1.0, 1.0], (len(image.views.marker_id), 8))[image.views.marker]
+        own = 0.008 * np.tanh((t_s - 4.0) / 0.5)[:, None] * pattern
+        assert not check_image(tree, replace(image, residual_px=image.residual_px + own)).findings
+
+
 def test_a_marker_that_slips_is_named_with_its_time_and_its_way() -> None:
     finding = only(checked(SHORT, Wrong(t_s=5.0, marker=2, move=(3e-4, 0, 0, 0, 0, 0)), 1))
     assert (finding.kind, finding.marker_id, finding.part) == ("marker", 5, "link2")
