@@ -132,8 +132,8 @@ def detector_noise(sums: Sums, what: str, profile: FloatArray) -> float:
     seen = np.flatnonzero(of.sum(axis=0) > 0)
     of, w = of[involved][:, seen], profile[involved, None]
     total: FloatArray = of.sum(axis=0)
-    spread = np.sum(of * w**2, axis=0) - np.sum(of * w, axis=0) ** 2 / total
-    return DETECTOR_PX**2 * float(np.mean(spread)) if len(seen) else 0.0
+    spread: FloatArray = np.sum(of * w**2, axis=0) - np.sum(of * w, axis=0) ** 2 / total
+    return DETECTOR_PX**2 * float(spread.sum()) / len(seen) if len(seen) else 0.0
 
 
 def step_effect(sums: Sums, what: str) -> Effect:
