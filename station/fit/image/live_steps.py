@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from station.fit.image.corner_data import CornerData
+from station.fit.image.frame_search import state_equations
 from station.fit.image.live_chain import Chain
 from station.fit.noise import INLIER_ABOVE
 from station.fit.skeleton import TreeModel, with_moved_states
-from station.fit.tree_equations import equations
 from station.fit.tree_motion import tree_poses
 from station.kinematics import se3
 from station.logs import FloatArray
@@ -151,8 +151,8 @@ def _equations(
     The root is near where it stood, so that its twist from there changes by the perturbation itself.
     """
     weights = data.weights(at.chi2) if robust else data.seen.astype(np.float64)
-    found = equations(chain.skeleton, at.model, data, weights)
-    H, g = found.H_ss[0], found.g_s[0]
+    found = state_equations(chain.skeleton, at.model, data, weights)
+    H, g = found.H[0], found.g[0]
     if still is not None:
         H[-6:, -6:] += still.information
         g[-6:] += still.information @ at.off
