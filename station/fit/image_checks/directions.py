@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from calibration.intrinsics import CameraModel, project, project_jacobian
 from station.fit.image.image_fit import ImageFit
-from station.fit.image.projection import focused
+from station.fit.image.projection import corner_places, focused
 from station.fit.image.views import COORDINATES
 from station.fit.image_checks.weighing import Weights
 from station.kinematics import se3
@@ -70,7 +70,7 @@ def whitened_rows(image: ImageFit, weights: Weights) -> Rows:
     known = np.isfinite(T).all(axis=(1, 2)) & np.isfinite(image.residual_px).all(axis=1)
     rows = np.flatnonzero(known & (weights.share > 0))
     poses, points = T[rows], views.points_m[views.marker[rows]]
-    p_cam = points @ np.swapaxes(poses[:, :3, :3], -1, -2) + poses[:, None, :3, 3]
+    p_cam = corner_places(poses, points)
     camera = focused(views.camera, image.numbers.focal)
     by_point = project_jacobian(camera, p_cam) @ poses[:, None, :3, :3]
     by_pose = np.concatenate([by_point, -by_point @ se3.hat3(points)], axis=-1).reshape(-1, COORDINATES, TWIST)
@@ -123,7 +123,7 @@ def tilts_rad(image: ImageFit) -> FloatArray:
     """(N,) angle between each marker's normal and the line of sight to it, by the fitted tree; NaN where unknown."""
     views = image.views
     T = image.T_ref_part[views.frame, views.part[views.marker]]
-    p_cam = views.points_m[views.marker] @ np.swapaxes(T[:, :3, :3], -1, -2) + T[:, None, :3, 3]
+    p_cam = corner_places(T, views.points_m[views.marker])
     return np.arctan2(np.sqrt(np.maximum(1.0 - _facing(p_cam) ** 2, 0.0)), _facing(p_cam))
 
 

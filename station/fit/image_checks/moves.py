@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from station.fit.image.image_fit import ImageFit
-from station.fit.image.projection import projected
+from station.fit.image.projection import corner_places, projected
 from station.fit.image.views import COORDINATES
 from station.fit.image_checks.changes import taken_out
 from station.fit.image_checks.directions import CAMERA, TWIST, Rows, T_part_marker
@@ -58,7 +58,7 @@ def model_px(image: ImageFit, moves: Sequence[Move]) -> FloatArray:
             poses = np.where(own, poses @ mounts @ slip @ se3.inverse(mounts), poses)
         else:
             poses = np.where((part == int(number))[:, None, None], poses @ slip, poses)
-    p_cam = views.points_m[views.marker] @ np.swapaxes(poses[:, :3, :3], -1, -2) + poses[:, None, :3, 3]
+    p_cam = corner_places(poses, views.points_m[views.marker])
     return projected(views.camera, image.numbers, p_cam).reshape(-1, COORDINATES)
 
 
