@@ -152,24 +152,10 @@ def fit(
     """
     smoothed = smoother(smooth) if smooth else None
     options = options or FitOptions()
-    if smoothed is not None and options.refine == "image":
-        raise StationError(
-            "smoothing is of poses, and a tree refined on the image is fitted to the corners as they are\n"
-            "leave out --smooth, or refine on the poses: --refine pose"
-        )
-    if not source.exists():
-        raise InvalidFile(f"no input '{source}'; want a session folder, a recording.rrd or a log of poses")
-    session = load_session(source) if is_session(source) else None
-    if out is None:
-        if session is None or not source.is_dir():
-            raise StationError(f"'{source}' is no session folder: name a folder for the result with --out")
-        out = source / FIT_FOLDER
+    _check_corners(source, options, smoothed)
+    out = _folder_for(source) if out is None else out
     check_output_folder(out, force=force)
-    if session is None and options.refine == "image":
-        raise InvalidData(
-            f"{source} is a log of poses, which has no corners to refine the tree on\n"
-            "want a session, whose recording has them, or refine on the poses: --refine pose"
-        )
+    session = load_session(source) if is_session(source) else None
     try:
         found = _of_poses(source, options, smoothed) if session is None else discover(session, options, smoothed)
     except InvalidData as error:
@@ -181,6 +167,31 @@ def fit(
 
         append_detected(source, found.fit.states, found.fit.tree, found.poses)
     return FitResult(out, found.fit, found.notices, None if residuals is None else residuals.checks)
+
+
+def _check_corners(source: Path, options: FitOptions, smoothed: Smoother | None) -> None:
+    """Raise StationError where there is no input, or corners are to be refined on that it doesn't have."""
+    if not source.exists():
+        raise InvalidFile(f"no input '{source}'; want a session folder, a recording.rrd or a log of poses")
+    if options.refine != "image":
+        return
+    if smoothed is not None:
+        raise StationError(
+            "smoothing is of poses, and a tree refined on the image is fitted to the corners as they are\n"
+            "leave out --smooth, or refine on the poses: --refine pose"
+        )
+    if not is_session(source):
+        raise InvalidData(
+            f"{source} is a log of poses, which has no corners to refine the tree on\n"
+            "want a session, whose recording has them, or refine on the poses: --refine pose"
+        )
+
+
+def _folder_for(source: Path) -> Path:
+    """Where the fit of a session folder is written if nobody says so; raises StationError for another source."""
+    if not (is_session(source) and source.is_dir()):
+        raise StationError(f"'{source}' is no session folder: name a folder for the result with --out")
+    return source / FIT_FOLDER
 
 
 @dataclass(frozen=True, eq=False)
@@ -215,7 +226,7 @@ def discover(session: Session, options: FitOptions, smoothed: Smoother | None = 
     if found.fit.image is not None and (shift_px := _unknown_shift_px(found.fit.image)) is not None:
         again = _learned(session.with_edge_shift(shift_px), options, smoothed, views)
         said = f"edges are seen {shift_px:.3f} px outward; poses were made anew without that, and the tree of them"
-        found = replace(found, notices=(said, *again.notices))
+        found = replace(again, notices=(said, *again.notices))
     notices = (*session.recording.notices, *found.notices)
     return replace(found, fit=_named_by_commands(found.fit, session.recording), notices=notices)
 
