@@ -11,7 +11,7 @@ Run: python -m tests.benchmarks.image_checks [--seed N] [--trials N] [--quick] [
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -161,29 +161,28 @@ def _checked(session: Session, wrong: Wrong, rng: np.random.Generator) -> ModelC
 
 
 def show_clean(seed: int, trials: int, workers: int) -> None:
-    """Print how often clean sessions are suspected, by kind and in all."""
-    print(f"clean sessions with a finding, of {trials} each; wanted in all at most {100 * LEVEL:g} %")
-    suspected = 0
-    for number, kind in enumerate(KINDS):
-        found = each(try_clean, [(kind, (seed, number, i)) for i in range(trials)], workers)
-        suspected += sum(map(bool, found))
-        what = ", ".join(sorted({name for names in found for name in names}))
-        print(f"{kind:30} {sum(map(bool, found)):4d}  {what}", flush=True)
-    total = trials * len(KINDS)
-    print(f"all: {suspected} of {total}, {100 * suspected / total:.2f} %")
+    """Print how often clean sessions are suspected."""
+    jobs = {kind: [(kind, (seed, number, i)) for i in range(trials)] for number, kind in enumerate(KINDS)}
+    show_suspected("clean sessions", {kind: each(try_clean, these, workers) for kind, these in jobs.items()})
 
 
 def show_fitted(seed: int, trials: int, workers: int) -> None:
     """Print how often clean sessions are suspected after whole fits."""
-    print(f"whole fits of clean sessions with a finding, of {trials} each; wanted in all at most {100 * LEVEL:g} %")
-    suspected = 0
-    for number, kind in enumerate(FITTED):
-        found = each(try_fitted, [(kind, (seed, 200 + number, i)) for i in range(trials)], workers)
-        suspected += sum(map(bool, found))
-        what = ", ".join(sorted({name for names in found for name in names}))
-        print(f"{kind:30} {sum(map(bool, found)):4d}  {what}", flush=True)
-    total = trials * len(FITTED)
-    print(f"all: {suspected} of {total}, {100 * suspected / total:.2f} %")
+    jobs = {kind: [(kind, (seed, 200 + number, i)) for i in range(trials)] for number, kind in enumerate(FITTED)}
+    show_suspected(
+        "whole fits of clean sessions", {kind: each(try_fitted, these, workers) for kind, these in jobs.items()}
+    )
+
+
+def show_suspected(what: str, found: Mapping[str, Sequence[Collection[str]]]) -> None:
+    """Print the findings of clean sessions by kind, and how many have one in all."""
+    print(f"{what} with a finding; wanted in all at most {100 * LEVEL:g} %")
+    for kind, of in found.items():
+        names = ", ".join(sorted({name for names in of for name in names}))
+        print(f"{kind:30} {sum(map(bool, of)):4d} of {len(of)}  {names}")
+    everything = [names for of in found.values() for names in of]
+    suspected, total = sum(map(bool, everything)), len(everything)
+    print(f"all: {suspected} of {total}, {100 * suspected / total:.2f} %", flush=True)
 
 
 def show_fitted_faults(seed: int, trials: int, workers: int) -> None:

@@ -13,11 +13,11 @@ import numpy as np
 from calibration.intrinsics import CameraModel, project
 from station.fit.image.camera_numbers import CameraNumbers
 from station.fit.image.image_fit import ImageFit
-from station.fit.image.views import Views
+from station.fit.image.views import IntArray, Views
 from station.kinematics import se3
 from station.kinematics.joint import Joint
 from station.kinematics.tree import KinematicTree
-from station.logs import FloatArray
+from station.logs import BoolArray, FloatArray
 from station.quadrilaterals import edge_shift_jacobian
 
 CAMERA = CameraModel(
@@ -117,62 +117,62 @@ def watched(session: Session, wrong: Wrong, rng: np.random.Generator) -> tuple[K
     tree = chain(session.types, session.trackers, rng)
     t = np.arange(session.frames) / FPS
     T = _poses(tree, session, t, rng)
-    K = len(tree.parts)
-    marker_part = np.repeat(np.arange(K), session.markers)
-    points = _points(session.markers, K)
-    after = t >= wrong.t_s
-    moved = np.tile(np.eye(4), (len(t), 1, 1))
-    camera_twist = np.outer(after, wrong.camera) + np.outer(t / t[-1], wrong.drift)
-    moved = se3.inverse(se3.exp(camera_twist))
-    true = moved[:, None] @ T
+    marker_part = np.repeat(np.arange(len(tree.parts)), session.markers)
+    points = _points(session.markers, len(tree.parts))
+    frame, marker = (x.ravel() for x in np.indices((len(t), len(marker_part))))
+    seen = rng.random(len(frame)) >= session.unseen
+    frame, marker = frame[seen], marker[seen]
+    poses = T[frame, marker_part[marker]]
+    true_px, by_edges_px = _true_px(wrong, t[frame] >= wrong.t_s, t[frame] / t[-1], poses, points, marker)
+    views = Views(
+        t_s=t,
+        parts=tree.parts,
+        marker_id=np.arange(len(marker_part)) + 3,
+        part=marker_part,
+        points_m=points,
+        frame=frame,
+        marker=marker,
+        corners_px=true_px + by_edges_px + _noise(session, true_px, marker, rng),
+        covariance_px2=np.broadcast_to((session.stated * session.sigma_px) ** 2 * np.eye(8), (len(frame), 8, 8)),
+        T_ref_part=np.stack([poses, np.full(poses.shape, np.nan)], axis=1),
+        camera=CAMERA,
+    )
+    return tree, _fit_at_the_truth(session, views, T)
+
+
+def _true_px(
+    wrong: Wrong, after: BoolArray, past: FloatArray, poses: FloatArray, points: FloatArray, marker: IntArray
+) -> tuple[FloatArray, FloatArray]:
+    """(N, 4, 2) corners without noise, and what edges add to them; `past` (N,) is the share of the session before."""
     truth = replace(
         CAMERA,
         matrix=CAMERA.matrix * np.array([[wrong.focal, 1, 1], [1, wrong.focal, 1], [1, 1, 1]]),
         distortion=CAMERA.distortion + np.array([wrong.k1, 0, 0, 0, 0]),
     )
-    frame, marker = (x.ravel() for x in np.indices((len(t), len(marker_part))))
-    seen = rng.random(len(frame)) >= session.unseen
-    frame, marker = frame[seen], marker[seen]
-    part = marker_part[marker]
-    model_px = project(CAMERA, _at(T[frame, part], points[marker]))
-    own = points[marker]
-    slipped = (marker == wrong.marker) & after[frame]
+    camera = se3.inverse(se3.exp(np.outer(after, wrong.camera) + np.outer(past, wrong.drift)))
+    own, slipped = points[marker], (marker == wrong.marker) & after
     middle = points[wrong.marker].mean(axis=0)
     own = np.where(slipped[:, None, None], _at(se3.exp(np.array(wrong.move))[None], own - middle) + middle, own)
-    true_px = project(truth, _at(true[frame, part], own))
-    by_shift = edge_shift_jacobian(true_px)
-    edges = wrong.edges_px + wrong.tilted_px * (1.0 / _cosine(_at(true[frame, part], own)) - 1.0)
-    noise = _noise(session, true_px, marker, rng)
-    measured = true_px + edges[:, None, None] * by_shift + noise
-    N, M = len(frame), len(marker_part)
-    views = Views(
-        t,
-        tree.parts,
-        np.arange(M) + 3,
-        marker_part,
-        points,
-        frame,
-        marker,
-        measured,
-        np.broadcast_to((session.stated * session.sigma_px) ** 2 * np.eye(8), (N, 8, 8)),
-        np.stack([T[frame, part], np.full((N, 4, 4), np.nan)], axis=1),
-        CAMERA,
-    )
-    residual = (measured - model_px).reshape(N, 8)
-    scale = np.full(M, 1.0 / session.stated)
-    chi2 = np.sum(residual**2, axis=1) / session.sigma_px**2
-    numbers = CameraNumbers(edge_shift_px=0.0)
-    return tree, ImageFit(
-        views,
-        T,
-        numbers,
-        CameraNumbers(np.nan, np.nan, np.nan),
-        residual,
-        chi2,
-        np.ones(N),
-        scale,
-        np.zeros(N, dtype=bool),
-        np.zeros((len(t), K), dtype=bool),
+    p_cam = _at(camera @ poses, own)
+    px = project(truth, p_cam)
+    edges = wrong.edges_px + wrong.tilted_px * (1.0 / _cosine(p_cam) - 1.0)
+    return px, edges[:, None, None] * edge_shift_jacobian(px)
+
+
+def _fit_at_the_truth(session: Session, views: Views, T_ref_part: FloatArray) -> ImageFit:
+    model_px = project(CAMERA, _at(T_ref_part[views.frame, views.part[views.marker]], views.points_m[views.marker]))
+    residual_px = (views.corners_px - model_px).reshape(-1, 8)
+    return ImageFit(
+        views=views,
+        T_ref_part=T_ref_part,
+        numbers=CameraNumbers(edge_shift_px=0.0),
+        numbers_std=CameraNumbers(np.nan, np.nan, np.nan),
+        residual_px=residual_px,
+        chi2=np.sum(residual_px**2, axis=1) / session.sigma_px**2,
+        inlier=np.ones(len(views)),
+        scale=np.full(len(views.marker_id), 1.0 / session.stated),
+        doubtful=np.zeros(len(views), dtype=bool),
+        two_answers=np.zeros(T_ref_part.shape[:2], dtype=bool),
     )
 
 
