@@ -13,6 +13,7 @@ from station.cli.options import Commands, Force, Json, Method, Refine, SessionAr
 from station.cli.show import say_next, show_comparison, table, warn
 
 if TYPE_CHECKING:
+    from station.commands.fitting import FitResult
     from station.fit.image.image_fit import ImageFit
     from station.kinematics.tree import KinematicTree
 
@@ -95,12 +96,18 @@ def fit(
     if as_json:
         print((result.folder / TREE_FILE).read_text(encoding="utf-8"))
     else:
-        _show_tree(result.fit.tree)
-        if result.fit.image is not None:
-            print(_image_line(result.fit.image))
+        _show_fit(result)
     for notice in (*result.notices, *result.fit.tree.warnings):
         warn(notice)
     say_next(f"tree          {result.folder / TREE_FILE}", f"drawing       {result.folder / 'tree.png'}")
+
+
+def _show_fit(result: FitResult) -> None:
+    _show_tree(result.fit.tree)
+    if result.fit.image is not None:
+        print(_image_line(result.fit.image))
+    if result.checks is not None:
+        print(f"model checks: {result.checks.summary}")
 
 
 @app.command()

@@ -24,28 +24,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from station.errors import InvalidData
-from station.fit.ambiguity import Doubt, settled
+from station.fit.ambiguity import settled
 from station.fit.asking import Asking, answered_all
+from station.fit.assembly import assembled
 from station.fit.bodies import Group, bodies_of_log, scaled_by_part, with_reference
 from station.fit.comparison import MIN_FRAMES, PairTable, compare_pairs, edge_weights
 from station.fit.copies import without_copies
 from station.fit.fusion import fused_bodies, refined_mounts
-from station.fit.image.image_fit import joined
 from station.fit.image.views import Views
 from station.fit.known_joints import KnownJoints
 from station.fit.options import FitOptions, check_options
 from station.fit.parallel import products_in_one_thread
-from station.fit.reading import JointReading
-from station.fit.remarks import remarks
 from station.fit.result import Fit
-from station.fit.selection import CRITERIA, Scores
+from station.fit.rigid_pairs import RigidPairs
 from station.fit.standing import with_standing
-from station.fit.structure import components, outward, shallowest, spanning_forest
+from station.fit.structure import components, shallowest, spanning_forest
 from station.fit.subclusters import merged, singles
-from station.fit.telling import method_told
-from station.fit.tree_reading import REFERENCE, Structure, TreeReading, named_member, read_tree
-from station.kinematics.tree import Joint, KinematicTree
-from station.logs import FloatArray, JointLog, PoseLog
+from station.fit.tree_reading import REFERENCE, Structure
+from station.logs import FloatArray, PoseLog
 
 BoolArray = NDArray[np.bool_]
 IntArray = NDArray[np.intp]
@@ -106,10 +102,16 @@ def _learning(log: PoseLog, options: FitOptions, views: Views | None) -> Asking[
 
 def _learned(log: PoseLog, options: FitOptions, include: bool, views: Views | None) -> Asking[Fit]:
     joints_only = replace(options, joint_types=options.joints)
-    found = yield from _find_structure(log, joints_only, include)
-    structure, doubts = yield from settled(found, options.joints)
-    roots = _roots(structure, log, options, include)
-    return (yield from _assembled(log, options, structure, roots, doubts, include, views))
+    known = RigidPairs()
+    while True:
+        found = yield from _find_structure(log, joints_only, include, known)
+        structure, doubts = yield from settled(found, options.joints)
+        roots = _roots(structure, log, options, include)
+        fit, rigid = yield from assembled(log, options, structure, roots, doubts, include, views)
+        more = known.plus(rigid, len(structure.parts.names))
+        if len(more) == len(known):
+            return fit
+        known = more  # what corners say to be rigid, the poses were too coarse to tell
 
 
 def _included(log: PoseLog, options: FitOptions) -> bool:
@@ -140,7 +142,7 @@ def _check_views(log: PoseLog, options: FitOptions, views: Views | None) -> None
         raise InvalidData(f"the views have no part '{missing[0]}'; have {', '.join(views.parts)}")
 
 
-def _find_structure(log: PoseLog, options: FitOptions, include: bool) -> Asking[Structure]:
+def _find_structure(log: PoseLog, options: FitOptions, include: bool, known: RigidPairs) -> Asking[Structure]:
     parts = with_reference(bodies_of_log(log), log.reference)
     groups, bodies, edges = singles(len(parts.names)), parts, np.zeros((0, 2), dtype=np.intp)
     known = KnownJoints.none(edges, options.joint_types)
@@ -160,6 +162,9 @@ def _find_structure(log: PoseLog, options: FitOptions, include: bool) -> Asking[
         if level == 0:
             parts = scaled_by_part(parts, _variances(table, chosen, len(parts.names)))
         fixed, T_a_b = table.pairs[rigid], table.T_a_b[rigid]
+        if level == 0:
+            more = known.plus(RigidPairs(fixed, T_a_b), len(parts.names))
+            fixed, T_a_b = more.pairs, more.T_a_b
         if level == 0 and options.root_static and not include:
             fixed, T_a_b = with_standing(parts, fixed, T_a_b, options.root)
         before, groups = groups, merged(groups, fixed, T_a_b)
@@ -234,64 +239,3 @@ def _root_of(tree: list[int], structure: Structure, wanted: int | None) -> int:
             if _holds(structure.groups[k], part):
                 return k
     return shallowest(tree, structure.edges)
-
-
-def _assembled(
-    log: PoseLog,
-    options: FitOptions,
-    structure: Structure,
-    roots: list[int],
-    doubts: Sequence[Doubt],
-    include: bool,
-    views: Views | None,
-) -> Asking[Fit]:
-    groups, names = structure.groups, structure.parts.names
-    body_name = [names[group.members[named_member(group, include=include)]] for group in groups]
-    joints_only = replace(options, joint_types=options.joints)
-    trees_read: list[TreeReading] = []
-    for root in roots:
-        trees_read.append((yield from read_tree(structure, root, joints_only, views, include=include)))
-    read = [joint for tree in trees_read for joint in tree.joints]
-    mounts = {names[part]: T for tree in trees_read for part, T in tree.mounts.items()}
-    joints = [
-        _scored(r.joint(body_name[a], body_name[b], scores, i), scores, i, options) for a, b, r, scores, i in read
-    ]
-    readings = [reading for _, _, reading, _, _ in read]
-    kept = [k for k, group in enumerate(groups) if include or group.members != (REFERENCE,)]
-    rigid = [tuple(names[i] for i in groups[k].members if include or i != REFERENCE) for k in kept]
-    bodies = [[root, *(b for _, b, _ in outward(root, structure.edges))] for root in roots]
-    trees = tuple(tuple(body_name[k] for k in tree) for tree in bodies)
-    by_edge = {tuple(sorted(item[:2])): joint for item, joint in zip(read, joints, strict=True)}
-    told = [(by_edge[d.edge], body_name[d.other[0]], body_name[d.other[1]], d.odds) for d in doubts]
-    images = [tree.image for tree in trees_read if tree.image is not None]
-    image = joined(images) if images else None
-    tree = KinematicTree(
-        root=body_name[roots[0]],
-        parts=names if include else names[1:],
-        rigid_groups=tuple(group for group in rigid if len(group) > 1),
-        trees=trees,
-        joints=tuple(joints),
-        method=method_told(options, image, root_static=REFERENCE in groups[roots[0]].members),
-        warnings=remarks(log, joints, readings, trees, told),
-        mounts=mounts,
-    )
-    return Fit(tree, _states(log, joints, readings), image)
-
-
-def _scored(joint: Joint, scores: Scores, pair: int, options: FitOptions) -> Joint:
-    """The joint with the scores of all criteria, and the probabilities of all candidates."""
-    return replace(
-        joint,
-        scores={"criterion": scores.criterion, **scores.told(pair, scores.criterion, free=options.free)},
-        criteria={name: scores.told(pair, name, free=options.free) for name in CRITERIA},
-        probability=scores.probabilities(pair, free=options.free),
-    )
-
-
-def _states(log: PoseLog, joints: Sequence[Joint], readings: Sequence[JointReading]) -> JointLog:
-    """Columns of all states of all joints."""
-    nothing = np.zeros((len(log.t_s), 0))
-    q = np.concatenate([nothing, *(r.q for r in readings)], axis=-1)
-    std = np.concatenate([nothing, *(r.std for r in readings)], axis=-1)
-    columns = [(name, joint.unit) for joint in joints for name in joint.columns]
-    return JointLog(log.t_s, tuple(name for name, _ in columns), q, tuple(unit for _, unit in columns), std)

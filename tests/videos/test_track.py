@@ -163,7 +163,7 @@ def test_the_session_is_whole_and_what_follows_takes_it(track: Run, station: Run
     code, out, err = station("report", folder)
     assert code == 0 and "revolute" in out and [path.name for path in (folder / "report").iterdir()] == ["report.html"]
     page = (folder / "report" / "report.html").read_text("utf-8")
-    assert "When the parts were seen" in page and page.count("<svg") == 4
+    assert "When the parts were seen" in page and page.count("<svg") == 5
     code, _, err = station("compare", folder)
     assert code == 1 and "neither commands nor read-back" in err and "--commands FILE" in err
     rows = [f"{t + 5:.6f},{-np.radians(60) * swing(np.array(t), 3.0):.9f}" for t in times_s(FRAMES)]

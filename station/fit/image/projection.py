@@ -26,9 +26,9 @@ def focused(camera: CameraModel, focal: float) -> CameraModel:
     return replace(camera, matrix=matrix)
 
 
-def corner_places(T_ref_marker: FloatArray, points_m: FloatArray) -> FloatArray:
-    """(T, M, 4, 3) corners in the camera's frame, from poses (T, M, 4, 4) and their places on the parts (M, 4, 3)."""
-    return points_m @ np.swapaxes(T_ref_marker[..., :3, :3], -1, -2) + T_ref_marker[..., None, :3, 3]
+def corner_places(T_ref_part: FloatArray, points_m: FloatArray) -> FloatArray:
+    """(..., 4, 3) corners in the camera's frame, from poses (..., 4, 4) and their places on the parts (..., 4, 3)."""
+    return points_m @ np.swapaxes(T_ref_part[..., :3, :3], -1, -2) + T_ref_part[..., None, :3, 3]
 
 
 @dataclass(frozen=True, eq=False)

@@ -32,6 +32,7 @@ class HeldJoint:
 
     Attributes:
         bound: of it, in the frames of the parts that name the fit's bodies.
+        seen: (T,) frames in which its child was seen, and its parent if it isn't a root that stands still.
         errors: (T, s) of its states, without their mean; NaN where the fit has none.
         std: (T, s) that the fit states for them.
         axis_error: (2,) along `normals` of the true axis; axis_std what the fit states, root of the trace; empty and
@@ -40,6 +41,7 @@ class HeldJoint:
     """
 
     bound: JointBound
+    seen: BoolArray
     errors: FloatArray
     std: FloatArray
     axis_error: FloatArray
@@ -54,8 +56,8 @@ class HeldJoint:
 
     @property
     def share_found(self) -> float:
-        """Of the frames in which the state is observed, those in which the fit has one."""
-        return float(self.found.sum() / max(np.isfinite(self.bound.states).all(axis=-1).sum(), 1))
+        """Of the frames in which the joint was seen, those in which the fit has a state."""
+        return float((self.found & self.seen).sum() / max(self.seen.sum(), 1))
 
     @property
     def state_rms(self) -> float:
@@ -141,6 +143,7 @@ def held(watched: Watched, fit: Fit, camera: dict[str, float] | None = None) -> 
     parts, bodies = watched.made.parts, range(len(watched.made.joints) + 1)
     names = [next(p for p in fit.tree.bodies if watched.made.body_of[parts.index(p)] == body) for body in bodies]
     bounds = image_bounds(watched, frame_parts=[parts.index(name) for name in names], camera=camera)
+    seen = _seen_bodies(watched)
     joints: list[HeldJoint] = []
     for bound, q in zip(bounds.joints, watched.made.q, strict=True):
         ends = names[bound.true.parent], names[bound.true.child]
@@ -148,12 +151,23 @@ def held(watched: Watched, fit: Fit, camera: dict[str, float] | None = None) -> 
         if found.parent != ends[0]:
             raise ValueError(f"joint {found.name} is told from its child; want {ends[0]} as its parent")
         turned = watched.made.T_body_part[parts.index(ends[0])][:3, :3]
-        joints.append(_held_joint(fit, found, bound, q @ turned if bound.true.type == "spherical" else q))
+        q = q @ turned if bound.true.type == "spherical" else q
+        joints.append(_held_joint(fit, found, bound, seen[:, bound.true.parent] & seen[:, bound.true.child], q))
     for joint in joints:
         square = np.sum(joint.errors**2, axis=-1) / np.sum(joint.bound.states, axis=-1)
         far = far | (square > FAR_SIGMAS**2)  # NaN compares false
-        told = told | (np.isnan(joint.errors) & np.isfinite(joint.bound.states)).any(axis=-1)
+        told = told | (joint.seen & ~joint.found)
     return HeldFit(fit, (), tuple(joints), far, told)
+
+
+def _seen_bodies(watched: Watched) -> BoolArray:
+    """(T, B) frames in which a body was seen by a sighting that is no outlier, or is a root that stands still."""
+    views, good = watched.views, ~watched.outlier
+    part = views.part[views.marker[good]]
+    found = np.zeros((len(views.t_s), len(watched.made.joints) + 1), dtype=bool)
+    found[views.frame[good], np.array(watched.made.body_of)[part]] = True
+    found[:, 0] |= watched.made.root == "static"
+    return found
 
 
 def _corners(watched: Watched, fit: Fit) -> tuple[BoolArray, BoolArray]:
@@ -177,7 +191,7 @@ def _rows(watched: Watched, views: Views) -> IntArray:
     return order[np.searchsorted(all_keys, key, sorter=order)]
 
 
-def _held_joint(fit: Fit, found: Joint, bound: JointBound, truth: FloatArray) -> HeldJoint:
+def _held_joint(fit: Fit, found: Joint, bound: JointBound, seen: BoolArray, truth: FloatArray) -> HeldJoint:
     true = bound.true
     axis, point, sign = np.zeros(0), np.zeros(0), 1.0
     if found.axis_parent is not None:
@@ -189,7 +203,7 @@ def _held_joint(fit: Fit, found: Joint, bound: JointBound, truth: FloatArray) ->
     q, std = states_of(fit, found)
     errors = state_errors(true, sign * q, truth)
     axis_std, point_std = (x if x is not None else np.nan for x in (found.axis_std_rad, found.point_std_m))
-    return HeldJoint(bound, errors, std, axis, axis_std, point, point_std)
+    return HeldJoint(bound, seen, errors, std, axis, axis_std, point, point_std)
 
 
 def state_errors(joint: MadeJoint, q: FloatArray, truth: FloatArray) -> FloatArray:
