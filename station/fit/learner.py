@@ -142,7 +142,7 @@ def _check_views(log: PoseLog, options: FitOptions, views: Views | None) -> None
         raise InvalidData(f"the views have no part '{missing[0]}'; have {', '.join(views.parts)}")
 
 
-def _find_structure(log: PoseLog, options: FitOptions, include: bool, known: RigidPairs) -> Asking[Structure]:
+def _find_structure(log: PoseLog, options: FitOptions, include: bool, told: RigidPairs) -> Asking[Structure]:
     parts = with_reference(bodies_of_log(log), log.reference)
     groups, bodies, edges = singles(len(parts.names)), parts, np.zeros((0, 2), dtype=np.intp)
     known = KnownJoints.none(edges, options.joint_types)
@@ -163,7 +163,7 @@ def _find_structure(log: PoseLog, options: FitOptions, include: bool, known: Rig
             parts = scaled_by_part(parts, _variances(table, chosen, len(parts.names)))
         fixed, T_a_b = table.pairs[rigid], table.T_a_b[rigid]
         if level == 0:
-            more = known.plus(RigidPairs(fixed, T_a_b), len(parts.names))
+            more = told.plus(RigidPairs(fixed, T_a_b), len(parts.names))
             fixed, T_a_b = more.pairs, more.T_a_b
         if level == 0 and options.root_static and not include:
             fixed, T_a_b = with_standing(parts, fixed, T_a_b, options.root)
