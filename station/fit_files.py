@@ -1,9 +1,11 @@
-"""A fit's folder: kinematics.json, joint_states.csv, kinematics.urdf and a drawing of tree and states."""
+"""A fit's folder: kinematics.json, joint_states.csv, kinematics.urdf, residuals.parquet and a drawing."""
 
 from __future__ import annotations
 
+import io
 from os import PathLike
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from station.comparison_files import write_files
 from station.errors import InvalidFile, StationError
@@ -15,19 +17,26 @@ from station.kinematics.tree import KinematicTree
 from station.kinematics.tree_json import from_json, to_json
 from station.session import FIT_FOLDER, RECORDING_FILE, check_output_folder
 
+if TYPE_CHECKING:
+    from station.fit.image_checks import Residuals
+
 TREE_FILE = "kinematics.json"
 STATES_FILE = "joint_states.csv"
 URDF_FILE = "kinematics.urdf"
+RESIDUALS_FILE = "residuals.parquet"
 TREE_NAME = "fitted"
 TREE_FIGURE = "tree"
 
 
-def write_fit(fit: Fit, folder: str | PathLike[str], *, force: bool = False) -> None:
-    """Write kinematics.json, joint_states.csv, kinematics.urdf, tree.png and tree.svg.
+def write_fit(
+    fit: Fit, folder: str | PathLike[str], *, residuals: Residuals | None = None, force: bool = False
+) -> None:
+    """Write kinematics.json, joint_states.csv, kinematics.urdf, tree.png, tree.svg and, if given, residuals.parquet.
 
     Args:
         fit: what `station.fit` returned.
         folder: new or empty; made if it isn't there.
+        residuals: of a fit on corners; without, those of an earlier fit are taken away.
         force: overwrite what is in the folder.
 
     Raises:
@@ -42,12 +51,39 @@ def write_fit(fit: Fit, folder: str | PathLike[str], *, force: bool = False) -> 
         STATES_FILE: format_joint_states(fit.states),
         TREE_FILE: to_json(fit.tree),
     }
+    files = {name: text.encode() for name, text in texts.items()} | _residual_files(residuals)
     figure = tree_figure(fit.tree, fit.states)
     try:
         save_figure(figure, folder / TREE_FIGURE)
-        write_files(folder, {name: text.encode() for name, text in texts.items()})
+        write_files(folder, files)
+        if residuals is None:
+            (folder / RESIDUALS_FILE).unlink(missing_ok=True)
     except OSError as error:
         raise StationError(f"can't write the fit into '{folder}': {error.strerror}; name another folder") from error
+
+
+def _residual_files(residuals: Residuals | None) -> dict[str, bytes]:
+    if residuals is None:
+        return {}
+    from station.formats.residuals import write_residuals
+
+    content = io.BytesIO()
+    write_residuals(residuals, content)
+    return {RESIDUALS_FILE: content.getvalue()}
+
+
+def read_fit_residuals(folder: str | PathLike[str]) -> Residuals | None:
+    """The residuals of a fit on corners; None where the fit was on poses.
+
+    Raises:
+        InvalidFile: a StationError: a file that is torn or of another schema.
+    """
+    path = Path(folder) / RESIDUALS_FILE
+    if not path.exists():
+        return None
+    from station.formats.residuals import read_residuals
+
+    return read_residuals(path)
 
 
 def read_fit(folder: str | PathLike[str]) -> Fit:

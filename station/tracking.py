@@ -14,7 +14,7 @@ from station.kinematics import se3
 from station.logs import FloatArray, PoseLog
 from station.perception import pose
 from station.perception.choice import Choice, choose_over_time, chosen_poses
-from station.perception.corner_noise import evidence_weights, total_covariance
+from station.perception.corner_noise import evidence_weights, stated_covariance, total_covariance
 from station.perception.corners import Detections
 from station.perception.hypotheses import PoseHypotheses, estimate_hypotheses, part_of_row
 from station.perception.joint_covariance import joint_covariance
@@ -161,6 +161,31 @@ def views_of(
     covariance_px2 = total_covariance(observations, table.sizes_m(observations.marker_id), camera, sigma_px)
     if readout_s:
         observations = straightened(observations, camera.size_px[1], readout_s)
+    return _views(observations, covariance_px2, table, camera, readout_s)
+
+
+def views_of_frame(t_s: float, markers: FrameMarkers, table: MarkerTable, camera: CameraModel) -> Views:
+    """The corners of one frame alone, with the covariances that the detector stated, for estimation while it records.
+
+    Args:
+        t_s: of the frame.
+        markers: those of the table count.
+        table: the result's markers and parts are its, in its order.
+        camera: that saw them, with the readout of its rolling shutter.
+    """
+    builder = ObservationBuilder()
+    builder.add(t_s, markers)
+    observations = builder.build()
+    return _views(observations, stated_covariance(observations), table, camera, camera.readout_s or 0.0)
+
+
+def _views(
+    observations: ObservationLog,
+    covariance_px2: FloatArray,
+    table: MarkerTable,
+    camera: CameraModel,
+    readout_s: float,
+) -> Views:
     marker = table.rows(observations.marker_id)
     rows = np.flatnonzero(marker >= 0)
     mounts = np.stack([each.mount for each in table.markers])

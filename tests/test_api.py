@@ -134,7 +134,7 @@ def test_help_shows_the_signature_and_what_it_means():
 
 def test_an_unknown_keyword_is_refused_with_those_that_there_are(log: station.PoseLog):
     with pytest.raises(
-        TypeError, match=r"station.fit\(\) has no argument 'joint_type'; it has log, method, .*joint_types"
+        TypeError, match=r"station.fit\(\) has no argument 'joint_type'; it has log, views, method, .*joint_types"
     ):
         station.fit(log, joint_type=("rigid",))  # type: ignore[call-arg]
     with pytest.raises(TypeError, match=r"station.compare\(\) has no argument 'mesured'; it has .*measured"):

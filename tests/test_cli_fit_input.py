@@ -269,3 +269,30 @@ def test_a_smoother_that_there_is_not_is_an_error_with_the_choices(fit: Run, tmp
     code, err = fit("door.csv", "--out", "out", "--smooth", "median")
     assert code == 1 and "lowpass:HZ" in err and "kalman" in err
     assert len(err.strip().splitlines()) <= MAX_ERROR_LINES
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (("--refine", "image"), ["poses.csv is a log of poses, which has no corners", "--refine pose"]),
+        (("--refine", "image", "--smooth", "lowpass:2"), ["smoothing is of poses", "leave out --smooth"]),
+        (("--refine", "pose", "--method", "paper"), ["poses.csv", "method 'paper' can't refine on 'pose'", "'none'"]),
+        (("--root-static", "no"), ["poses.csv", "is a part of the tree and stands still"]),
+    ],
+)
+def test_what_a_log_of_poses_cannot_be_refined_on_is_said_with_what_to_do(
+    fit: Run, options: tuple[str, ...], said: list[str]
+) -> None:
+    Path("poses.csv").write_text("\n".join([COLUMNS, *door()]))
+    code, error = fit("poses.csv", "--out", "fit", *options)
+    assert code == 1
+    for words in said:
+        assert words in error
+    assert len(error.splitlines()) <= MAX_ERROR_LINES
+
+
+def test_a_number_of_the_camera_that_cannot_be_estimated_is_wrong_usage(fit: Run) -> None:
+    Path("poses.csv").write_text("\n".join([COLUMNS, *door()]))
+    code, error = fit("poses.csv", "--out", "fit", "--estimate", "focal,zoom")
+    assert code == 2
+    assert "want focal, readout" in " ".join(error.replace("\u2502", " ").split())

@@ -106,3 +106,18 @@ def test_what_is_warm_is_yellow_and_what_is_hot_is_red():
     assert not styles(temperature_c=59.0, load=-0.69) & {"yellow", "bold red"}
     assert "yellow" in styles(temperature_c=60.0, load=0.0) and "yellow" in styles(load=-0.7)
     assert "bold red" in styles(temperature_c=70.0, load=0.0) and "bold red" in styles(load=-0.9)
+
+
+def test_what_the_camera_sees_of_a_joint_is_beside_where_the_servos_say_it_is():
+    joints = (joint(0, detected=0.5012), joint(1), joint(2, detected=None))
+    head, first, second = drawn(snapshot(joints=joints))[2:5]
+    assert head.split()[:4] == ["joint", "at", "seen", "goal"]
+    assert first.split()[:4] == ["joint_0", "28.6°", "28.72°", "34.4°"]
+    assert "unseen" in second
+
+
+def test_joints_that_the_arm_does_not_have_are_shown_by_their_names():
+    now = snapshot(
+        joints=(), detected={"base__lid": (0.5, "rad"), "base__drawer": (0.0123, "m"), "lid__knob": (None, "rad")}
+    )
+    assert "seen base__lid 28.65°, base__drawer 12.30 mm, lid__knob unseen" in "\n".join(drawn(now))

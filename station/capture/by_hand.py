@@ -14,6 +14,7 @@ from station.capture.recorder import SessionWriter
 from station.capture.servo_loop import Progress
 from station.capture.snapshot import Watcher
 from station.capture.states import State
+from station.kinematics.tree import KinematicTree
 from station.releasing import Ask, release
 from station.rig import Rig
 
@@ -38,7 +39,7 @@ class HandCapture:
 
     Args:
         duration_s: how long to record; until a stop or a KeyboardInterrupt if None: those are normal ends.
-        progress, control, watch, live: as of a planned capture.
+        progress, control, watch, live, tree: as of a planned capture.
     """
 
     def __init__(
@@ -51,10 +52,11 @@ class HandCapture:
         control: Control | None = None,
         watch: Watcher | None = None,
         live: LiveView | None = None,
+        tree: KinematicTree | None = None,
     ) -> None:
         self._rig, self._writer = rig, writer
         self._duration_s, self._progress = duration_s, progress
-        self._crew = Crew(rig, writer, control=control, watch=watch, live=live)
+        self._crew = Crew(rig, writer, control=control, watch=watch, live=live, tree=tree)
         self._start_ns = self._turn = 0
         self._look_ns = 0  # when a bus that is away is looked for next
         self._lost: tuple[int, BusLost] | None = None  # since when the bus is away

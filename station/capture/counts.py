@@ -23,6 +23,7 @@ class CaptureCounts:
         images_left_out: frames of which the markers are recorded and the picture isn't, as the recorder was behind.
         readings_lost: commands, readings and servos' states that the recorder had no place for.
         live_view_shed: frames that the live view didn't get, as there was other work.
+        states_left_out: frames by which no joint states were estimated, as there was no time.
         frames_outside: that came while the motion was held, or before it: not recorded on purpose.
         pauses: that people asked for.
         reconnects: of a bus or a camera that had gone away.
@@ -40,6 +41,7 @@ class CaptureCounts:
     images_left_out: int = 0
     readings_lost: int = 0
     live_view_shed: int = 0
+    states_left_out: int = 0
     frames_outside: int = 0
     pauses: int = 0
     reconnects: int = 0

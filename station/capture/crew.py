@@ -5,16 +5,21 @@ from __future__ import annotations
 import json
 
 from drivers.arm import ArmReading
+from drivers.camera import Frame
 from station.capture.control import Control
 from station.capture.counts import CaptureCounts, Tally
 from station.capture.frame_line import FrameLine
 from station.capture.journal import Journal
-from station.capture.live_view import LiveReading, LiveView
+from station.capture.live_states import Beside, LiveStates
+from station.capture.live_view import LiveDetected, LiveReading, LiveView
 from station.capture.recorder import Recorder, SessionWriter
 from station.capture.snapshot import Watcher
 from station.capture.states import State, StateMachine
 from station.capture.watching import Situation, Watching
 from station.enough_motion import MotionTally, sides_of
+from station.kinematics.tree import KinematicTree
+from station.logs import FloatArray
+from station.perception.observations import FrameMarkers
 from station.rig import Rig
 
 NS_PER_S = 1_000_000_000
@@ -28,6 +33,9 @@ MOTION_EVERY_NS = NS_PER_S // 10
 
 class Crew:
     """The parts of one capture, made for it and ended with it.
+
+    Args:
+        tree: what the camera watches: joint states are then estimated frame by frame.
 
     Attributes:
         situation: what the servo loop knows at the moment.
@@ -43,6 +51,7 @@ class Crew:
         watch: Watcher | None = None,
         live: LiveView | None = None,
         motion: MotionTally | None = None,
+        tree: KinematicTree | None = None,
     ) -> None:
         self.rig, self.clock, self.has_arm = rig, rig.clock, bool(rig.table.joint)
         self.control = control or Control()
@@ -50,7 +59,12 @@ class Crew:
         self.motion = motion or MotionTally(rig.table.limits(), sides_of(rig.table))
         self.recorder = Recorder(writer, self.tally, waits=rig.virtual)
         self.journal = Journal(rig.clock, self.recorder, live)
-        self.frames = FrameLine(rig, self.recorder, self.journal, self.tally, live)
+        self.frames = FrameLine(rig, self._found, self.journal, self.tally, live)
+        self._live_states: LiveStates | None = None
+        if tree is not None:
+            self._live_states = LiveStates(rig, tree, self._seen, self.journal.warn, self.tally)
+            columns = len(self._live_states.columns.names)
+            self._beside = Beside(columns, len(rig.table.joint), rig.table.camera.latency_s)
         self.states = StateMachine(self._entered)
         self.leaving = False
         self._live = live
@@ -61,6 +75,8 @@ class Crew:
     def start(self) -> None:
         """Let the threads begin; from a thread that has its turn."""
         self.recorder.start()
+        if self._live_states is not None:
+            self._live_states.start()
         self.frames.start()
         self.journal.info(f"camera: {json.dumps(dict(self.rig.camera.settings))}")
 
@@ -85,10 +101,34 @@ class Crew:
             self.recorder.reading(reading)
             self.tally.add("readings")
             self._count_motion(reading)
+        if self._live_states is not None:
+            self._beside.read(reading.t_ns, reading.q)
         if self._live is not None:
             self._live.offer(LiveReading(reading.t_ns, reading.q, self.situation.goal))
         self.tell()
         return reading
+
+    def end_states(self) -> None:
+        """Wait until the joint states of all frames are estimated; no frame may come after."""
+        if self._live_states is not None:
+            self._live_states.end()
+
+    def _found(self, frame: Frame, markers: FrameMarkers) -> None:
+        """A frame's markers, in detection's thread."""
+        self.recorder.frame(frame, markers)
+        if self._live_states is not None:
+            self._live_states.offer(frame.t_ns, markers)
+
+    def _seen(self, t_ns: int, q: FloatArray, std: FloatArray) -> None:
+        """A frame's joint states, in the thread that estimates them."""
+        if self._live_states is None:
+            return
+        columns, shown = self._live_states.columns, self._beside.shown(t_ns, q)
+        self.recorder.live_states(t_ns, q, std, columns)
+        self.situation.detected_units = dict(zip(columns.names, columns.units, strict=True))
+        self.situation.detected = dict(zip(columns.names, shown.tolist(), strict=True))
+        if self._live is not None:
+            self._live.offer(LiveDetected(t_ns, shown))
 
     def _count_motion(self, reading: ArmReading) -> None:
         if self._motion_ns is None or reading.t_ns - self._motion_ns >= MOTION_EVERY_NS:

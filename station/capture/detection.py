@@ -26,6 +26,9 @@ _NONE = {name: np.zeros((0, *shape)) for name, shape in MARKER_SHAPES.items() if
 NO_MARKERS = FrameMarkers(np.zeros(0, dtype=np.int64), **_NONE)
 
 
+Found = Callable[[Frame, FrameMarkers], None]
+
+
 class Detection:
     """Finds the markers of frames, one frame after another.
 
@@ -40,7 +43,7 @@ class Detection:
     def __init__(
         self,
         rig: Rig,
-        found: Callable[[Frame, FrameMarkers], None],
+        found: Found,
         tally: Tally,
         live: LiveView | None,
         *,

@@ -69,7 +69,9 @@ def end(
             crew.journal.error(failure)
         with crew.clock.seat():
             _try(failures, leave)
-        for step in (crew.frames.end, crew.frames.check, crew.tell_shed, crew.recorder.end, crew.recorder.check):
+        frames, recorder = crew.frames, crew.recorder
+        frames, recorder = crew.frames, crew.recorder
+        for step in (frames.end, frames.check, crew.end_states, crew.tell_shed, recorder.end, recorder.check):
             _try(failures, step)
         state = "complete" if complete and not failures else "interrupted"
         _try(failures, lambda: writer.close(state, crew.counts().as_dict()))

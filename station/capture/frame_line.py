@@ -5,10 +5,9 @@ from __future__ import annotations
 from drivers.camera import Frame
 from station.capture.camera_thread import CameraThread
 from station.capture.counts import Tally
-from station.capture.detection import Detection
+from station.capture.detection import Detection, Found
 from station.capture.journal import Journal
 from station.capture.live_view import LiveView
-from station.capture.recorder import Recorder
 from station.rig import Rig
 
 
@@ -18,11 +17,14 @@ class FrameLine:
     They are recorded only between `open` and `close`, by their own stamps: what came before the motion, or while it
     was held, shows an arm that does something else than was planned. A frame whose stamp isn't after that of the one
     before counts as dropped: of two that a network camera gave at once, nobody knows when the second was taken.
+
+    Args:
+        found: gets each frame that is to be recorded, with its markers, in detection's thread.
     """
 
-    def __init__(self, rig: Rig, recorder: Recorder, journal: Journal, tally: Tally, live: LiveView | None) -> None:
+    def __init__(self, rig: Rig, found: Found, journal: Journal, tally: Tally, live: LiveView | None) -> None:
         self._clock, self._tally = rig.clock, tally
-        self.detection = Detection(rig, recorder.frame, tally, live, waits=rig.virtual)
+        self.detection = Detection(rig, found, tally, live, waits=rig.virtual)
         self.camera = CameraThread(rig.camera, rig.clock, self._take, journal, tally, rig.table.camera.reconnect_s)
         self._since_ns: int | None = None
         self._lost_before = (0, 0)

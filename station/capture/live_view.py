@@ -56,7 +56,15 @@ class LiveEvent:
     text: str
 
 
-Offer = LiveFrame | LiveReading | LiveEvent
+@dataclass(frozen=True, eq=False, slots=True)
+class LiveDetected:
+    """The joint states (C,) that were detected in a frame, by the tree that is known; NaN unseen."""
+
+    t_ns: int
+    q: FloatArray
+
+
+Offer = LiveFrame | LiveReading | LiveEvent | LiveDetected
 
 
 class LiveView(Protocol):
@@ -81,6 +89,10 @@ class Screen(Protocol):
 
     def show_readings(self, t_ns: NDArray[np.int64], q: FloatArray, goal: FloatArray) -> None:
         """Show N readings (N,), (N, J), (N, J); goals are NaN where there are none."""
+        ...
+
+    def show_detected(self, t_ns: NDArray[np.int64], q: FloatArray) -> None:
+        """Show N states (N,), (N, C) that were detected; NaN unseen."""
         ...
 
     def show_event(self, t_ns: int, level: str, text: str) -> None:
@@ -163,6 +175,9 @@ class QueuedView:
             q = np.array([reading.q for reading in due.readings])
             goals = [np.full(q.shape[1:], np.nan) if r.goal is None else r.goal for r in due.readings]
             self._screen.show_readings(t_ns, q, np.array(goals))
+        if due.detected:
+            t_ns = np.array([seen.t_ns for seen in due.detected], dtype=np.int64)
+            self._screen.show_detected(t_ns, np.array([seen.q for seen in due.detected]))
         if (frame := due.frame) is not None:
             self._screen.show_frame(frame.index, frame.t_ns, frame.image, frame.markers)
 
@@ -179,10 +194,11 @@ class _Waiting:
     def __init__(self) -> None:
         self.frame: LiveFrame | None = None
         self.readings: deque[LiveReading] = deque(maxlen=WAITING)
+        self.detected: deque[LiveDetected] = deque(maxlen=WAITING)
         self.events: deque[LiveEvent] = deque(maxlen=WAITING)
 
     def __bool__(self) -> bool:
-        return self.frame is not None or bool(self.readings) or bool(self.events)
+        return self.frame is not None or bool(self.readings) or bool(self.detected) or bool(self.events)
 
     def add(self, item: Offer) -> bool:
         """Take it; returns whether an older one had to go for it."""
@@ -191,6 +207,9 @@ class _Waiting:
         elif isinstance(item, LiveReading):
             full = len(self.readings) == WAITING
             self.readings.append(item)
+        elif isinstance(item, LiveDetected):
+            full = len(self.detected) == WAITING
+            self.detected.append(item)
         else:
             full = len(self.events) == WAITING
             self.events.append(item)

@@ -5,7 +5,7 @@ With the recorder behind, pictures are left out first (a fit needs the corners),
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Protocol
 
 from numpy.typing import ArrayLike, NDArray
@@ -17,6 +17,7 @@ from station.capture.counts import CaptureCounts, Tally
 from station.capture.worker import Worker
 from station.logs import FloatArray
 from station.perception.observations import FrameMarkers
+from station.seen_columns import SeenColumns
 
 # A quarter of a second at 30 frames/s: what waits is lost to a kill.
 FRAMES_WAITING = 8
@@ -36,6 +37,10 @@ class SessionWriter(Protocol):
     ) -> None: ...
 
     def log_servos(self, t_ns: int, states: Mapping[int, ServoState]) -> None: ...
+
+    def log_live_states(
+        self, t_ns: int, q: ArrayLike, std: ArrayLike, columns: Sequence[str], units: Sequence[str]
+    ) -> None: ...
 
     def log_event(self, t_ns: int, level: str, text: str) -> None: ...
 
@@ -78,6 +83,10 @@ class Recorder:
     def servos(self, reading: ArmReading) -> None:
         """What the servos said of themselves."""
         self._row(lambda: self._writer.log_servos(reading.t_ns, reading.servos))
+
+    def live_states(self, t_ns: int, q: FloatArray, std: FloatArray, columns: SeenColumns) -> None:
+        """The joint states that were detected in a frame, by a tree that was known."""
+        self._row(lambda: self._writer.log_live_states(t_ns, q, std, columns.names, columns.units))
 
     def checkpoint(self, leg: int, legs: int, counts: CaptureCounts, motion: str | None = None) -> None:
         """A leg of the plan begins, by a new motion.toml if there is one; all that belongs before it has been given."""

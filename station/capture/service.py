@@ -22,6 +22,7 @@ from station.capture.servo_loop import Progress, ServoLoop
 from station.capture.snapshot import Watcher
 from station.capture.states import State
 from station.enough_motion import MotionTally
+from station.kinematics.tree import KinematicTree
 from station.motion import Plan
 from station.rig import Rig
 
@@ -38,6 +39,7 @@ class Capture:
         lengthening: adds legs at the plan's end while a joint lacks motion.
         motion: what was seen of the joints' motion before, to go on in a session.
         remarks: warnings to be recorded at the start.
+        tree: what the camera watches, if it is known: joint states are then estimated frame by frame.
     """
 
     def __init__(
@@ -54,9 +56,10 @@ class Capture:
         lengthening: Lengthening | None = None,
         motion: MotionTally | None = None,
         remarks: Sequence[str] = (),
+        tree: KinematicTree | None = None,
     ) -> None:
         self._plan, self._writer, self._remarks = plan, writer, tuple(remarks)
-        self._crew = Crew(rig, writer, control=control, watch=watch, live=live, motion=motion)
+        self._crew = Crew(rig, writer, control=control, watch=watch, live=live, motion=motion, tree=tree)
         self._loop = ServoLoop(self._crew, plan, progress, first_leg, lengthening)
         self._powered = False
 

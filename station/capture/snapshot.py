@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from station.capture.states import State
 from station.motion import Unit
@@ -18,6 +18,7 @@ class JointSnapshot:
         goal: where it is told to be; None where torque is off.
         temperature_c, voltage_v, load: the greatest, the least and the greatest of its servos; load as a share of the
             most that the model has.
+        detected: where the camera saw it, told from the same zero; None where nobody looks or it wasn't seen.
         motion_share: how much of the motion that the fit needs has been seen so far, 1 is enough; None if unknown.
     """
 
@@ -29,6 +30,7 @@ class JointSnapshot:
     voltage_v: float
     load: float
     motion_share: float | None = None
+    detected: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,6 +45,8 @@ class Snapshot:
         lost: by reason, what was counted and not recorded: "camera", "detection", "recorder", "live view".
         seen_s: by part, seconds since its markers were last seen; None if never.
         said: the last warning or error.
+        detected: states [rad or m] that the camera saw of joints that the arm doesn't have, by name, with their units;
+            None unseen.
         bytes_per_s: how fast the recording grows, as foretold; None if unknown.
     """
 
@@ -59,6 +63,7 @@ class Snapshot:
     bus_errors: int
     said: str
     bytes_per_s: float | None = None
+    detected: Mapping[str, tuple[float | None, Unit]] = field(default_factory=dict[str, tuple[float | None, Unit]])
 
 
 Watcher = Callable[[Snapshot], None]

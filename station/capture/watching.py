@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections import deque
 from collections.abc import Mapping, Sequence
@@ -13,6 +14,7 @@ from station.capture.snapshot import JointSnapshot, Snapshot, Watcher
 from station.capture.states import State
 from station.formats.rig import RigTable
 from station.logs import FloatArray
+from station.motion import Unit
 
 NS_PER_S = 1_000_000_000
 # Of the capture's clock or of the person's, whichever has passed first: simulated seconds may take long.
@@ -31,6 +33,8 @@ class Situation:
         reading: the last one; None before the first.
         goal: (J,) where the arm is told to be; None where torque is off.
         motion_shares: by joint, as `MotionTally` tells them.
+        detected: the states that the camera saw last, by joint, in the arm's zeros; NaN unseen.
+        detected_units: of those.
     """
 
     done_s: float = 0.0
@@ -39,6 +43,8 @@ class Situation:
     reading: ArmReading | None = None
     goal: FloatArray | None = None
     motion_shares: Mapping[str, float | None] = field(default_factory=dict[str, float | None])
+    detected: Mapping[str, float] = field(default_factory=dict[str, float])
+    detected_units: Mapping[str, str] = field(default_factory=dict[str, str])
 
 
 class Watching:
@@ -84,6 +90,7 @@ class Watching:
             seen_s={part: _since_s(now_ns, seen_ns.get(part)) for part in self._parts},
             bus_errors=counts.bus_errors,
             said=said,
+            detected=self._detected(situation),
         )
         self._watch = None
         watch(shot)
@@ -97,9 +104,19 @@ class Watching:
             replace(
                 _joint(joint.name, joint.unit, [servo.id for servo in joint.servo], reading, j, goal),
                 motion_share=situation.motion_shares.get(joint.name),
+                detected=_known(situation.detected.get(joint.name, math.nan)),
             )
             for j, joint in enumerate(self._table.joint)
         )
+
+    def _detected(self, situation: Situation) -> dict[str, tuple[float | None, Unit]]:
+        """What was detected of joints that the arm doesn't have."""
+        arm = {joint.name for joint in self._table.joint}
+        return {
+            name: (_known(q), "m" if situation.detected_units.get(name) == "m" else "rad")
+            for name, q in situation.detected.items()
+            if name not in arm
+        }
 
     def _frame_rate_hz(self, now_ns: int, frames: int) -> float:
         self._frames.append((now_ns, frames))
@@ -122,6 +139,10 @@ def _joint(
         voltage_v=min(servo.voltage_v for servo in servos),
         load=max(abs(servo.load) for servo in servos),
     )
+
+
+def _known(q: float) -> float | None:
+    return None if math.isnan(q) else q
 
 
 def _lost(counts: CaptureCounts) -> dict[str, int]:

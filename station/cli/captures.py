@@ -20,6 +20,7 @@ from station.cli.options import (
     Hand,
     Headless,
     Json,
+    KnownTree,
     MotionArgument,
     MotionOrNone,
     Out,
@@ -73,6 +74,7 @@ def run(
     realtime: Realtime = False,
     until_enough: UntilEnough = 0,
     frames: FramesKept = None,
+    tree: KnownTree = None,
     view: View = False,
     headless: Headless = False,
     port: Port = None,
@@ -86,7 +88,7 @@ def run(
         return
     with live_view(view=view, headless=headless, port=port) as live:
         made = {"seed": seed, "simulate": simulate, "realtime": realtime, "force": force}
-        _run(rig, motion, out, as_json, live, **made, until_enough=until_enough, **_kept(frames))
+        _run(rig, motion, out, as_json, live, **made, until_enough=until_enough, tree=tree, **_kept(frames))
 
 
 def _run(rig: str, motion: str, out: Path, as_json: bool, live: LiveServer | None, **settings: Any) -> None:
@@ -120,6 +122,7 @@ def capture(
     realtime: Realtime = False,
     until_enough: UntilEnough = 0,
     frames: FramesKept = None,
+    tree: KnownTree = None,
     view: View = False,
     headless: Headless = False,
     port: Port = None,
@@ -151,7 +154,7 @@ def capture(
         _show_dry_run(str(rig), str(motion), folder, simulate=simulate, force=force, as_json=as_json, **_kept(frames))
         return
     with live_view(view=view, headless=headless, port=port) as live:
-        settings = {"live": live, "realtime": realtime, "until_enough": until_enough}
+        settings = {"live": live, "realtime": realtime, "until_enough": until_enough, "tree": tree}
         if resume is not None:
             counts = _resume(resume, settings)
         else:

@@ -11,6 +11,7 @@ from rich.text import Text
 
 from station.capture.snapshot import JointSnapshot, Snapshot
 from station.capture.states import State
+from station.motion import Unit
 
 if TYPE_CHECKING:
     from rich.console import Console, ConsoleOptions, RenderResult
@@ -69,6 +70,7 @@ class Dashboard:
             width, ("frames", _frames(now)), ("lost", _lost(now.lost)), ("not shown live", _not_shown(now.lost))
         )
         lines += _pairs(width, ("parts", _parts(now.seen_s, width - len("parts  "))))
+        lines += _pairs(width, ("seen", _others(now.detected)))
         lines += _pairs(width, ("bus errors", _count(now.bus_errors)), ("disk", Text(self.disk)))
         lines += [Text(line, "yellow") for line in _wrapped(now.said, width, SAID_LINES)]
         if self.foot:
@@ -133,6 +135,12 @@ def _not_shown(lost: Mapping[str, int]) -> Text:
     return Text(str(lost[NOT_SHOWN]), "dim") if lost.get(NOT_SHOWN) else Text("")
 
 
+def _others(detected: Mapping[str, tuple[float | None, Unit]]) -> Text:
+    """States of joints that are none of the arm's."""
+    told = [Text.assemble(f"{name} ", _seen(value, unit)) for name, (value, unit) in detected.items()]
+    return Text(", ").join(told)
+
+
 def _count(count: int) -> Text:
     return Text(str(count), "yellow" if count else "")
 
@@ -178,12 +186,14 @@ def _joint_table(joints: Sequence[JointSnapshot], width: int) -> list[Text]:
         _Column("joint", [Text(joint.name) for joint in joints], 0, right=False),
         _Column("at", [_state(joint, joint.q) for joint in joints], 0),
         _Column("goal", [_state(joint, joint.goal) for joint in joints], 1),
-        _Column("temp", [_graded(joint.temperature_c, "°C", WARM_C, HOT_C) for joint in joints], 3),
-        _Column("volt", [Text(f"{joint.voltage_v:.1f} V") for joint in joints], 5),
-        _Column("load", [_graded(abs(joint.load) * 100, " %", LABOURING * 100, STRAINED * 100) for joint in joints], 4),
+        _Column("temp", [_graded(joint.temperature_c, "°C", WARM_C, HOT_C) for joint in joints], 4),
+        _Column("volt", [Text(f"{joint.voltage_v:.1f} V") for joint in joints], 6),
+        _Column("load", [_graded(abs(joint.load) * 100, " %", LABOURING * 100, STRAINED * 100) for joint in joints], 5),
     ]
+    if any(joint.detected is not None for joint in joints):
+        columns.insert(2, _Column("seen", [_seen(joint.detected, joint.unit) for joint in joints], 2))
     if any(joint.motion_share is not None for joint in joints):
-        columns.append(_Column("enough motion?", [_enough(joint.motion_share) for joint in joints], 2, right=False))
+        columns.append(_Column("enough motion?", [_enough(joint.motion_share) for joint in joints], 3, right=False))
     while len(columns) > 1 and _table_width(columns) > width:
         columns.remove(max(columns, key=lambda column: column.goes))
     return [_row(columns, None), *(_row(columns, k) for k in range(len(joints)))]
@@ -200,6 +210,13 @@ def _row(columns: Sequence[_Column], k: int | None) -> Text:
         space = Text(" " * (column.width - cell.cell_len))
         cells.append(space + cell if column.right else cell + space)
     return Text("  ").join(cells)
+
+
+def _seen(value: float | None, unit: Unit) -> Text:
+    """A state that the camera saw, which tells it finer than a servo does."""
+    if value is None:
+        return Text("unseen", "dim")
+    return Text(f"{math.degrees(value):.2f}°" if unit == "rad" else f"{value * 1e3:.2f} mm")
 
 
 def _state(joint: JointSnapshot, value: float | None) -> Text:

@@ -77,6 +77,16 @@ UntilEnough = Annotated[
         "camera saw it; 0: don't.",
     ),
 ]
+KnownTree = Annotated[
+    Path | None,
+    typer.Option(
+        "--tree",
+        metavar="FIT",
+        help="The tree, if it is known: a fitted session, a fit's folder or a kinematics.json. Joint angles are then "
+        "seen by the camera while it records, and shown.",
+        show_default=False,
+    ),
+]
 View = Annotated[bool, typer.Option("--view", help="Open the rerun viewer on the capture as it goes.")]
 Headless = Annotated[
     bool, typer.Option("--headless", help="Serve the live view on 127.0.0.1 and open no viewer: connect one yourself.")

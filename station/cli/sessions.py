@@ -98,6 +98,8 @@ def fit(
         _show_tree(result.fit.tree)
         if result.fit.image is not None:
             print(_image_line(result.fit.image))
+        if result.checks is not None:
+            print(f"model checks: {result.checks.summary}")
     for notice in (*result.notices, *result.fit.tree.warnings):
         warn(notice)
     say_next(f"tree          {result.folder / TREE_FILE}", f"drawing       {result.folder / 'tree.png'}")

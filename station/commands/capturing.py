@@ -17,7 +17,9 @@ from station.formats.camera import format_camera, parse_camera
 from station.formats.markers import format_markers
 from station.formats.text import read_text
 from station.motion import Plan
+from station.seen_columns import seen_columns
 from station.session import (
+    FIT_FOLDER,
     MOTION_FILE,
     NEXT_MOTION_FILE,
     RIG_FILE,
@@ -40,6 +42,7 @@ if TYPE_CHECKING:
     from station.enough_motion import MotionTally
     from station.formats.rig import RigTable
     from station.hand_motion import HandMotion
+    from station.kinematics.tree import KinematicTree
     from station.recording import Recording, RecordingWriter
     from station.releasing import Ask
     from station.rig import Rig, RigFile
@@ -73,6 +76,8 @@ class CaptureSettings(TypedDict, total=False):
         control: what people ask of the capture while it runs: pause, go on, stop.
         watch: called some times a second with what the capture is doing.
         live: serves a live view of the capture.
+        tree: what the camera watches, as a fit found it: a kinematics.json, a URDF, the folder of a fit or of a fitted
+            session. Joint states are then estimated frame by frame, shown, and recorded beside what is fitted later.
     """
 
     seed: int | None
@@ -85,6 +90,7 @@ class CaptureSettings(TypedDict, total=False):
     control: Control | None
     watch: Watcher | None
     live: LiveServer | None
+    tree: str | Path | None
 
 
 def capture(rig: str, motion: str, out: Path, **settings: Unpack[CaptureSettings]) -> CaptureCounts:
@@ -288,8 +294,11 @@ def _check_frames(settings: CaptureSettings) -> None:
 def _opened(
     rig_file: RigFile, settings: CaptureSettings, by_hand: HandMotion | None = None
 ) -> AbstractContextManager[Rig]:
+    from station.fit.image.live import StateFollower
     from station.rig import open_rig
 
+    if (tree := _known_tree(settings)) is not None:
+        StateFollower(tree, rig_file.table.marker_table().parts)  # before anything moves
     return open_rig(
         rig_file,
         simulate=settings.get("simulate", False),
@@ -300,6 +309,7 @@ def _opened(
 
 
 class _Wishes(TypedDict):
+    tree: KinematicTree | None
     progress: Progress | None
     control: Control | None
     watch: Watcher | None
@@ -312,18 +322,33 @@ def _wishes(rig_file: RigFile, settings: CaptureSettings) -> _Wishes:
     bytes_per_s = expected_rates(rig_file.table, settings.get("frames", "jpeg")).bytes_per_s
     watch = settings.get("watch")
     return {
+        "tree": _known_tree(settings),
         "progress": settings.get("progress"),
         "control": settings.get("control"),
         "watch": None if watch is None else lambda shot: watch(replace(shot, bytes_per_s=bytes_per_s)),
     }
 
 
+def _known_tree(settings: CaptureSettings) -> KinematicTree | None:
+    """The tree that is told; raises InvalidFile."""
+    from station.formats.trees import load_tree
+
+    where = settings.get("tree")
+    if where is None:
+        return None
+    fitted = Path(where) / FIT_FOLDER
+    return load_tree(fitted if fitted.is_dir() else where)
+
+
 def _live_view(
     opened: Rig, writer: RecordingWriter, out: Path, settings: CaptureSettings
 ) -> AbstractContextManager[LiveView | None]:
     """The live view of a session, if one is wanted."""
-    server = settings.get("live")
-    return nullcontext() if server is None else server.serving(out.resolve().name, writer, opened.clock.now_ns)
+    server, tree = settings.get("live"), _known_tree(settings)
+    if server is None:
+        return nullcontext()
+    seen = None if tree is None else seen_columns(opened.table, tree)
+    return server.serving(out.resolve().name, writer, opened.clock.now_ns, seen)
 
 
 def _writer(

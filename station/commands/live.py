@@ -11,6 +11,7 @@ from station.errors import StationError
 if TYPE_CHECKING:
     from station.capture.live_view import LiveView
     from station.recording import RecordingWriter
+    from station.seen_columns import SeenColumns
     from station.view import Viewer
 
 # What a viewer that looks on for hours keeps, the newest.
@@ -34,13 +35,16 @@ class LiveServer:
         self.has_served = False
 
     @contextmanager
-    def serving(self, name: str, writer: RecordingWriter, now_ns: Callable[[], int]) -> Iterator[LiveView]:
+    def serving(
+        self, name: str, writer: RecordingWriter, now_ns: Callable[[], int], seen: SeenColumns | None = None
+    ) -> Iterator[LiveView]:
         """Serve a session, while the block runs; a view that fails is told in its recording, and does no harm to it.
 
         Args:
             name: of the session.
             writer: of its recording.
             now_ns: the session's clock.
+            seen: the joint states that are detected, if any are.
 
         Raises:
             StationError: the port has been taken meanwhile.
@@ -56,7 +60,7 @@ class LiveServer:
         about = writer.description
         blueprint = session_blueprint(about.joints)
         stream = LiveStream(
-            writer.recording_id, name, about, start_ns=writer.start_ns, blueprint=blueprint, port=self.port
+            writer.recording_id, name, about, start_ns=writer.start_ns, blueprint=blueprint, port=self.port, seen=seen
         )
         self.has_served = True
         if self._viewer is not None:

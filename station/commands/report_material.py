@@ -11,6 +11,7 @@ import numpy as np
 from drivers.errors import DriverError
 from station.commands.fitting import Session
 from station.compare import Comparison
+from station.fit.image_checks import Residuals
 from station.fit.result import Fit
 from station.formats.rig import RigTable, parse_rig
 from station.kinematics import se3
@@ -35,6 +36,7 @@ def session_material(
     fit: Fit | None,
     comparison: Comparison | None,
     warnings: Sequence[str],
+    residuals: Residuals | None = None,
 ) -> Material:
     """All that the report of a session tells."""
     recording, poses = session.recording, session.poses
@@ -45,6 +47,7 @@ def session_material(
         title=path.resolve().name,
         facts=_facts(recording, status, rig, comparison),
         fit=fit,
+        residuals=residuals,
         comparison=comparison,
         viewing=viewing,
         readback_steps=_readback_steps(rig),

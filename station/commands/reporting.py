@@ -11,7 +11,7 @@ from station.compare import compare as compare_logs
 from station.comparison_files import write_comparison
 from station.errors import StationError
 from station.fit.result import Fit
-from station.fit_files import TREE_FILE, read_fit
+from station.fit_files import TREE_FILE, read_fit, read_fit_residuals
 from station.formats.read import read_commands
 from station.formats.rig import parse_rig
 from station.session import FIT_FOLDER, RECORDING_FILE, REPORT_FOLDER, read_status
@@ -95,7 +95,8 @@ def _write(path: Path, commands: Path | None, *, compared: bool) -> Comparison |
     warnings = [*recording.notices, *said, *(("no marker was seen in any frame",) if blind else ())]
     warnings += fitted.tree.warnings if fitted is not None else ()
     warnings += _lag_warnings(comparison, recording) if comparison is not None else ()
-    material = session_material(path, session, read_status(path), fitted, comparison, warnings)
+    residuals = read_fit_residuals(path / FIT_FOLDER)
+    material = session_material(path, session, read_status(path), fitted, comparison, warnings, residuals)
     write_report(path / REPORT_FOLDER, material)
     return comparison
 
@@ -106,7 +107,13 @@ def _report_fit(folder: Path) -> None:
 
     fitted = read_fit(folder)
     redoing = Redoing(method=fitted.tree.method)
-    material = Material(folder.resolve().name, fit=fitted, warnings=fitted.tree.warnings, redoing=redoing)
+    material = Material(
+        folder.resolve().name,
+        fit=fitted,
+        residuals=read_fit_residuals(folder),
+        warnings=fitted.tree.warnings,
+        redoing=redoing,
+    )
     write_report(folder / REPORT_FOLDER, material)
 
 

@@ -30,6 +30,7 @@ from station.fit.bodies import Group, bodies_of_log, scaled_by_part, with_refere
 from station.fit.comparison import MIN_FRAMES, PairTable, compare_pairs, edge_weights
 from station.fit.copies import without_copies
 from station.fit.fusion import fused_bodies, refined_mounts
+from station.fit.image.doubts import remarks_on_corners
 from station.fit.image.image_fit import joined
 from station.fit.image.views import Views
 from station.fit.options import FitOptions, check_options
@@ -37,6 +38,7 @@ from station.fit.parallel import products_in_one_thread
 from station.fit.reading import JointReading
 from station.fit.remarks import remarks
 from station.fit.result import Fit
+from station.fit.rigid_pairs import RigidPairs
 from station.fit.selection import CRITERIA, Scores
 from station.fit.standing import with_standing
 from station.fit.structure import components, outward, shallowest, spanning_forest
@@ -105,10 +107,16 @@ def _learning(log: PoseLog, options: FitOptions, views: Views | None) -> Asking[
 
 def _learned(log: PoseLog, options: FitOptions, include: bool, views: Views | None) -> Asking[Fit]:
     joints_only = replace(options, joint_types=options.joints)
-    found = yield from _find_structure(log, joints_only, include)
-    structure, doubts = yield from settled(found, options.joints)
-    roots = _roots(structure, log, options, include)
-    return (yield from _assembled(log, options, structure, roots, doubts, include, views))
+    known = RigidPairs()
+    while True:
+        found = yield from _find_structure(log, joints_only, include, known)
+        structure, doubts = yield from settled(found, options.joints)
+        roots = _roots(structure, log, options, include)
+        fit, rigid = yield from _assembled(log, options, structure, roots, doubts, include, views)
+        more = known.plus(rigid, len(structure.parts.names))
+        if len(more) == len(known):
+            return fit
+        known = more  # what corners say to be rigid, the poses were too coarse to tell
 
 
 def _included(log: PoseLog, options: FitOptions) -> bool:
@@ -139,7 +147,7 @@ def _check_views(log: PoseLog, options: FitOptions, views: Views | None) -> None
         raise InvalidData(f"the views have no part '{missing[0]}'; have {', '.join(views.parts)}")
 
 
-def _find_structure(log: PoseLog, options: FitOptions, include: bool) -> Asking[Structure]:
+def _find_structure(log: PoseLog, options: FitOptions, include: bool, known: RigidPairs) -> Asking[Structure]:
     parts = with_reference(bodies_of_log(log), log.reference)
     groups, bodies = singles(len(parts.names)), parts
     edges = np.zeros((0, 2), dtype=np.intp)
@@ -157,6 +165,9 @@ def _find_structure(log: PoseLog, options: FitOptions, include: bool) -> Asking[
         if level == 0:
             parts = scaled_by_part(parts, _variances(table, chosen, len(parts.names)))
         fixed, T_a_b = table.pairs[rigid], table.T_a_b[rigid]
+        if level == 0:
+            more = known.plus(RigidPairs(fixed, T_a_b), len(parts.names))
+            fixed, T_a_b = more.pairs, more.T_a_b
         if level == 0 and options.root_static and not include:
             fixed, T_a_b = with_standing(parts, fixed, T_a_b, options.root)
         groups = merged(groups, fixed, T_a_b)
@@ -235,7 +246,8 @@ def _assembled(
     doubts: Sequence[Doubt],
     include: bool,
     views: Views | None,
-) -> Asking[Fit]:
+) -> Asking[tuple[Fit, RigidPairs]]:
+    """The fit, and parts that its corners say to be rigid to each other though it has them move."""
     groups, names = structure.groups, structure.parts.names
     body_name = [names[group.members[named_member(group, include=include)]] for group in groups]
     joints_only = replace(options, joint_types=options.joints)
@@ -263,10 +275,13 @@ def _assembled(
         trees=trees,
         joints=tuple(joints),
         method=method_told(options, image, root_static=REFERENCE in groups[roots[0]].members),
-        warnings=remarks(log, joints, readings, trees, told),
+        warnings=(*remarks(log, joints, readings, trees, told), *(() if image is None else remarks_on_corners(image))),
         mounts=mounts,
     )
-    return Fit(tree, _states(log, joints, readings), image)
+    rigid = RigidPairs()
+    for read_of in trees_read:
+        rigid = rigid.plus(read_of.rigid, len(names))
+    return Fit(tree, _states(log, joints, readings), image), rigid
 
 
 def _scored(joint: Joint, scores: Scores, pair: int, options: FitOptions) -> Joint:

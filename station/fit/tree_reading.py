@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,14 +12,16 @@ from station.fit.asking import Asking
 from station.fit.bodies import Group
 from station.fit.image.camera_numbers import unknowns
 from station.fit.image.image_fit import ImageFit
-from station.fit.image.refinement import refine_image
+from station.fit.image.refinement import Refined, refine_image
 from station.fit.image.views import Views
 from station.fit.noise import INLIER_ABOVE
 from station.fit.options import FitOptions
 from station.fit.pairwise import residuals
 from station.fit.reading import JointReading
+from station.fit.rigid_pairs import RigidPairs
 from station.fit.selection import Scores
 from station.fit.structure import outward
+from station.fit.tree_motion import tree_poses
 from station.fit.tree_residuals import measured_parts
 from station.fit.tree_start import REFERENCE, Structure, TreeStart, tree_start
 from station.fit.whole_tree import TreeFit, refine_tree
@@ -87,11 +89,14 @@ class TreeReading:
         joints: (parent, child, reading, scores, row of the scores) of each, from the root outward; ends are bodies.
         mounts: T_body_part (4, 4) of further trackers by part, in the frames of the bodies' naming parts.
         image: the corners against the tree, if it was refined on them.
+        rigid: parts that the corners say to be rigid to each other, or to the reference, though the tree has a joint
+            between them, or lets them move.
     """
 
     joints: tuple[tuple[int, int, JointReading, Scores, int], ...]
     mounts: Mapping[int, FloatArray]
     image: ImageFit | None = None
+    rigid: RigidPairs = field(default_factory=RigidPairs)
 
 
 def read_tree(
@@ -112,10 +117,11 @@ def read_tree(
         lambda parts: measured_parts(structure.parts, [start.parts[k] for k in parts]),
         move=options.refine != "none",
     )
-    image, seen = None, structure.parts.seen[:, list(start.parts)]
+    image, rigid, seen = None, RigidPairs(), structure.parts.seen[:, list(start.parts)]
     if views is not None:
-        fit, image = _refined_on_corners(structure, start, fit, views, options)
-        seen = _seen(image.views)
+        found = _refined_on_corners(structure, start, fit, views, options)
+        fit, image, seen = found.fit, found.image, _seen(found.image.views)
+        rigid = _rigid(structure, start, found, options)
     refined = _Refined(structure, start, fit, seen, include)
     names = [(start.bodies[joint.parent], start.bodies[joint.child]) for joint in start.skeleton.joints]
     rows = [names.index(pair) for pair in order]
@@ -123,16 +129,41 @@ def read_tree(
     mounts: dict[int, FloatArray] = {}
     for k in start.bodies:
         mounts |= _mounts(structure.groups[k], start.parts, fit.model.mounts, include=include)
-    return TreeReading(tuple(joints), mounts, image)
+    return TreeReading(tuple(joints), mounts, image, rigid)
 
 
 def _refined_on_corners(
     structure: Structure, start: TreeStart, fit: TreeFit, views: Views, options: FitOptions
-) -> tuple[TreeFit, ImageFit]:
+) -> Refined:
     names = tuple(structure.parts.names[k] for k in start.parts)
     unknown = unknowns(views.camera, views.readout_s, options.camera_numbers)
-    found = refine_image(start.skeleton, fit.model, names, views, unknown)
-    return found.fit, found.image
+    return refine_image(start.skeleton, fit.model, names, views, unknown)
+
+
+def _rigid(structure: Structure, start: TreeStart, found: Refined, options: FitOptions) -> RigidPairs:
+    """What rests, as pairs of parts, where rigid joints and a root that stands still are for the fit to find."""
+    ends: list[tuple[int | None, int | None]] = []
+    if "rigid" in options.joint_types:
+        joints = [start.skeleton.joints[j] for j in found.rest.joints]
+        ends += [(_first_part(start, joint.near), _first_part(start, joint.far)) for joint in joints]
+    if options.root_static is None:
+        ends += [(None, _first_part(start, body)) for body in found.rest.bodies]
+    poses = tree_poses(start.skeleton, found.fit.model).parts
+    known = np.isfinite(found.image.T_ref_part[..., 0, 0])
+    pairs: list[list[int]] = []
+    relative: list[FloatArray] = []
+    for a, b in ends:
+        if b is None or not (both := known[:, b] & (a is None or known[:, a])).any():
+            continue
+        T_a = se3.identity(len(poses)) if a is None else poses[:, a]
+        pairs.append([REFERENCE if a is None else start.parts[a], start.parts[b]])
+        relative.append(se3.mean((se3.inverse(T_a) @ poses[:, b])[both]))
+    return RigidPairs(np.array(pairs, dtype=np.intp).reshape(-1, 2), np.array(relative).reshape(-1, 4, 4))
+
+
+def _first_part(start: TreeStart, body: int) -> int | None:
+    """The skeleton's first part of a body; None for the reference frame alone."""
+    return next((k for k, of in enumerate(start.skeleton.body_of) if of == body), None)
 
 
 def _seen(views: Views) -> BoolArray:

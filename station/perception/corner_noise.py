@@ -90,6 +90,17 @@ def total_covariance(
     return total
 
 
+def stated_covariance(observations: ObservationLog) -> FloatArray:
+    """Covariances (N, 8, 8) px^2 of corners as the detector stated them, with UNSEEN_SIGMA_PX; residuals aren't asked.
+
+    Where it stated none, coordinates are independent with SMALLEST_SIGMA_PX.
+    """
+    stated = joint_covariance(observations.corners_px, observations.corner_covariance_px2)
+    known = np.all(np.isfinite(stated), axis=(1, 2), keepdims=True)
+    one = np.eye(COORDINATES)
+    return np.where(known, stated + UNSEEN_SIGMA_PX**2 * one, SMALLEST_SIGMA_PX**2 * one)
+
+
 def evidence_weights(observations: ObservationLog) -> FloatArray:
     """What each observation's squared errors count (N,), 1 at most, beside others that show the same errors.
 

@@ -25,7 +25,7 @@ from station.perception.point_poses import (
     squared_errors,
 )
 from station.perception.square_pose import cross3, square_poses
-from station.quadrilaterals import shift_edges
+from station.quadrilaterals import unshift_edges
 
 # Corners of a marker of size 1 in its own frame, clockwise from its top left.
 UNIT_CORNERS = np.array([[-0.5, 0.5, 0.0], [0.5, 0.5, 0.0], [0.5, -0.5, 0.0], [-0.5, -0.5, 0.0]])
@@ -105,7 +105,7 @@ def without_edge_shift(corners_px: FloatArray, camera: CameraModel) -> FloatArra
     """Corners (M, 4, 2) with the camera's shift of dark edges undone."""
     if not camera.edge_shift_px or not len(corners_px):
         return corners_px
-    return shift_edges(corners_px, -camera.edge_shift_px)
+    return unshift_edges(corners_px, camera.edge_shift_px)
 
 
 def _weights(covariance_px2: FloatArray | None, count: int) -> tuple[NDArray[np.bool_], FloatArray | None]:

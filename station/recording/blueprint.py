@@ -17,6 +17,7 @@ from station.recording.layout import (
     EVENTS,
     IMAGE,
     LIVE_IMAGE,
+    LIVE_STATES,
     MARKERS,
     MEASURED,
     SERVOS,
@@ -26,7 +27,7 @@ from station.recording.layout import (
 if TYPE_CHECKING:
     from rerun.encodings import EntityPathLike
 
-JOINT_STATES = (COMMANDED, MEASURED, DETECTED)
+JOINT_STATES = (COMMANDED, MEASURED, LIVE_STATES, DETECTED)
 
 
 def session_blueprint(joints: Sequence[str]) -> rrb.Blueprint:

@@ -13,7 +13,7 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from station.errors import InvalidFile
-from station.logs import FloatArray
+from station.logs import FloatArray, JointLog
 from station.perception.observations import MARKER_SHAPES, ObservationLog
 from station.recording.layout import (
     ELAPSED,
@@ -24,6 +24,9 @@ from station.recording.layout import (
     SCALARS,
     SERVO_ID,
     SERVO_QUANTITIES,
+    STATES_OF,
+    STATES_STD,
+    STATES_UNITS,
     TEXT,
 )
 from station.recording.rows import Rows
@@ -156,6 +159,21 @@ def read_events(batches: Sequence[pa.RecordBatch]) -> tuple[Event, ...]:
     rows = Rows(batches, ELAPSED, [LEVEL, TEXT])
     triples = zip(seconds(rows.times).tolist(), rows.texts(LEVEL), rows.texts(TEXT), strict=True)
     return tuple(Event(t_s, level, text) for t_s, level, text in triples)
+
+
+def read_live_states(batches: Sequence[pa.RecordBatch]) -> JointLog:
+    """States that were detected while it was recorded; those by another tree than the last one are left out."""
+    rows = Rows(batches, ELAPSED, [SCALARS, STATES_STD, STATES_OF, STATES_UNITS])
+    if not len(rows):
+        return JointLog(np.zeros(0), (), np.zeros((0, 0)), ())
+    of = rows.texts(STATES_OF)
+    columns, units = (tuple(text.split(",")) for text in (of[-1], rows.texts(STATES_UNITS)[-1]))
+    counts = rows.lengths(SCALARS)
+    kept = np.array([text == of[-1] for text in of]) & last_of_equal(rows.times)
+    q, std = (
+        rows.floats(name, counts)[np.repeat(kept, counts)].reshape(-1, len(columns)) for name in (SCALARS, STATES_STD)
+    )
+    return JointLog(seconds(rows.times[kept]), columns, q, units, std)
 
 
 def read_servos(batches: Sequence[pa.RecordBatch]) -> ServoLog:

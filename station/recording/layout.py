@@ -16,6 +16,7 @@ COMMANDED = "joints/commanded"
 MEASURED = "joints/measured"
 SERVOS = "servos"
 DETECTED = "joints/detected"
+LIVE_STATES = "joints/seen"  # detected while it was recorded, by a tree that was known
 OBSERVATIONS = "observations"
 IMAGE = "camera/image"
 OVERLAY = "camera/image/markers"
@@ -37,6 +38,7 @@ SERVO_QUANTITIES = {
 }
 REQUEST, REPLY, JOINT_STAMPS = "t_request_ns", "t_reply_ns", "t_joint_ns"
 BLOB = "EncodedImage:blob"
+STATES_STD, STATES_OF, STATES_UNITS = "std", "columns", "units"
 LEVEL, TEXT = "TextLog:level", "TextLog:text"
 
 # Frames of the viewer's transform graph.

@@ -30,10 +30,12 @@ from station.recording.layout import (
     IMAGE_FRAME,
     LIVE_IMAGE,
     LIVE_IMAGE_FRAME,
+    LIVE_STATES,
     MEASURED,
     OVERLAY,
 )
 from station.recording.rrd_stream import forget_ended_streams, open_stream
+from station.seen_columns import SeenColumns
 from station.session import SessionDescription
 
 if TYPE_CHECKING:
@@ -90,6 +92,7 @@ class LiveStream:
         start_ns: its start on its clock.
         blueprint: the viewer's layout.
         port: of 127.0.0.1.
+        seen: the joint states that are detected, if any are.
 
     Raises:
         StationError: the port is taken; RERUN=off.
@@ -104,6 +107,7 @@ class LiveStream:
         start_ns: int,
         blueprint: Blueprint,
         port: int,
+        seen: SeenColumns | None = None,
     ) -> None:
         check_live_port(port)
         self._start_ns = start_ns
@@ -117,6 +121,8 @@ class LiveStream:
             self._stream.set_sinks(sink, default_blueprint=blueprint)
             self._stream.send_recording_name(name)
             self._show_scene(about)
+            if seen is not None:
+                self._stream.log(LIVE_STATES, scene.seen_series(seen.names, seen.units), static=True)
             self._stream.flush(timeout_sec=START_S)
         except BaseException as error:
             self.close()
@@ -155,6 +161,12 @@ class LiveStream:
         for entity, states in ((COMMANDED, goal), (MEASURED, q)):
             columns = rr.Scalars.columns(scalars=states.ravel()).partition(counts)
             self._stream.send_columns(entity, indexes=[elapsed], columns=columns)
+
+    def show_detected(self, t_ns: NDArray[np.int64], q: FloatArray) -> None:
+        """Show N states (N,), (N, C) in rad or m that were detected; NaN unseen."""
+        elapsed = rr.TimeColumn(ELAPSED, duration=(t_ns - self._start_ns).astype("timedelta64[ns]"))
+        columns = rr.Scalars.columns(scalars=q.ravel()).partition(np.full(len(t_ns), q.shape[1]))
+        self._stream.send_columns(LIVE_STATES, indexes=[elapsed], columns=columns)
 
     def show_event(self, t_ns: int, level: str, text: str) -> None:
         """Show something that happened; level is INFO, WARN or ERROR."""

@@ -26,6 +26,7 @@ from station.recording.contents import (
     last_of_equal,
     read_description,
     read_events,
+    read_live_states,
     read_observations,
     read_servos,
     read_stamps,
@@ -39,6 +40,7 @@ from station.recording.layout import (
     EVENTS,
     FRAME,
     JOINT_STAMPS,
+    LIVE_STATES,
     MEASURED,
     OBSERVATIONS,
     PROPERTY_ENTITY,
@@ -54,6 +56,7 @@ from station.recording.rows import Rows
 from station.recording.thinning import Thinning
 from station.session import RECORDING_FILE, SessionDescription, lossless_files, recording_pieces
 
+READ = (COMMANDED, MEASURED, LIVE_STATES, SERVOS, OBSERVATIONS, EVENTS)
 Batches = Mapping[str, Sequence[pa.RecordBatch]]
 
 
@@ -75,6 +78,8 @@ class Recording:
         frame_ns: (F,) stamps of the frames on the session's clock.
         events: in the order of their times.
         servos: what the servos said of themselves; without rows in sessions made before 0.2.0.
+        live_states: what was detected while it was recorded, at the frames' times, by a tree that was known; without
+            columns where none was.
         frames_left_out: how many are recorded and were left out in reading, of a long session.
         pieces: the files that were read: several of a session that was gone on with and isn't closed.
         notices: what was wrong with the files and how they were read nevertheless.
@@ -92,6 +97,7 @@ class Recording:
     frame_ns: IntArray
     events: tuple[Event, ...]
     servos: ServoLog
+    live_states: JointLog
     pieces: tuple[Path, ...]
     notices: tuple[str, ...] = field(default=())
     frames_left_out: int = 0
@@ -220,7 +226,7 @@ def _files(path: Path) -> list[tuple[str, int]]:
 def _batches(stream: LazyChunkStream, *, piece: Path, thinning: Thinning) -> Batches:
     """The rows that a fit needs, by entity; static ones of the description only. Those of frames go to `thinning`."""
     thinning.begin(piece)
-    paths = [PROPERTY_ENTITY, *(f"/{entity}" for entity in (COMMANDED, MEASURED, SERVOS, OBSERVATIONS, EVENTS))]
+    paths = [PROPERTY_ENTITY, *(f"/{entity}" for entity in READ)]
     batches: dict[str, list[pa.RecordBatch]] = defaultdict(list)
     for chunk in stream.filter(content=paths):
         if chunk.is_static == (chunk.entity_path == PROPERTY_ENTITY):
@@ -267,6 +273,7 @@ def _assembled(pieces: Sequence[Path], batches: Batches, notices: tuple[str, ...
         frame_ns=observed.times[seen] + start_ns,
         events=read_events(batches.get(EVENTS, ())),
         servos=read_servos(batches.get(SERVOS, ())),
+        live_states=read_live_states(batches.get(LIVE_STATES, ())),
         pieces=tuple(pieces),
         notices=notices,
     )

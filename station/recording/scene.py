@@ -79,6 +79,12 @@ def detected_series(joints: Sequence[str], units: Sequence[str]) -> rr.SeriesLin
     return _series(joints, units, "detected", dark, 4.0, "Linear")
 
 
+def seen_series(columns: Sequence[str], units: Sequence[str]) -> rr.SeriesLines:
+    """The states that were detected while it was recorded, as dark as detected ones, and thinner."""
+    dark = [mixed(colour, BLACK, 0.35) for colour in colours(len(columns))]
+    return _series(columns, units, "seen", dark, 2.5, "Linear")
+
+
 def servo_series(ids: Sequence[int]) -> rr.SeriesLines:
     """Temperature, voltage, load and speed of each servo, in its colour."""
     return rr.SeriesLines(

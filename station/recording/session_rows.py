@@ -7,7 +7,7 @@ Transforms, meshes and lines beside them are for the viewer, which keeps float32
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -27,6 +27,7 @@ from station.recording.layout import (
     EVENTS,
     IMAGE,
     JOINT_STAMPS,
+    LIVE_STATES,
     MEASURED,
     OBSERVATIONS,
     OVERLAY,
@@ -36,6 +37,9 @@ from station.recording.layout import (
     SERVO_ID,
     SERVO_QUANTITIES,
     SERVOS,
+    STATES_OF,
+    STATES_STD,
+    STATES_UNITS,
 )
 from station.recording.rrd_stream import RrdStream
 from station.session import SESSION_SCHEMA, SessionDescription
@@ -59,6 +63,7 @@ class SessionRows:
         self._markers = parse_markers(about.markers, "markers.toml")
         self._in_view = scene.MarkersInView(self._markers)
         self._servo_ids: tuple[int, ...] = ()
+        self._states_of: tuple[str, ...] = ()
 
     def begin(self, stream: RrdStream, start_ns: int, shift_ns: int, first_frame: int) -> None:
         """Write into this stream from now on, whose stamps plus `shift_ns` are on the session's clock.
@@ -103,6 +108,21 @@ class SessionRows:
             JOINT_STAMPS: pa.array(own_ns + self._shift_ns, pa.int64()),
         }
         self._log(middle_ns, MEASURED, rr.Scalars(states), rr.AnyValues(**stamps))
+
+    def live_states(
+        self, t_ns: int, q: ArrayLike, std: ArrayLike, columns: Sequence[str], units: Sequence[str]
+    ) -> None:
+        """As RecordingWriter.log_live_states."""
+        if not self._states_of:
+            self._states_of = tuple(columns)
+            self._stream.raw.log(LIVE_STATES, scene.seen_series(columns, units), static=True)
+        states, deviations = (_shape(values, (len(columns),), "seen joint states") for values in (q, std))
+        told = {
+            STATES_STD: pa.array(deviations),
+            STATES_OF: pa.array([",".join(columns)]),
+            STATES_UNITS: pa.array([",".join(units)]),
+        }
+        self._log(t_ns, LIVE_STATES, rr.Scalars(states), rr.AnyValues(**told))
 
     def servos(self, t_ns: int, states: Mapping[int, ServoState]) -> None:
         """As RecordingWriter.log_servos."""

@@ -10,7 +10,7 @@ import threading
 import time
 import uuid
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from datetime import UTC, datetime
@@ -196,6 +196,20 @@ class RecordingWriter:
         """Log what the servos said of themselves, by id; a servo of the first call that is missing now is NaN."""
         self._check_open()
         self._rows.servos(t_ns, states)
+
+    def log_live_states(
+        self, t_ns: int, q: ArrayLike, std: ArrayLike, columns: Sequence[str], units: Sequence[str]
+    ) -> None:
+        """Log the joint states (C,) that were detected in a frame while it is recorded, at the frame's stamp.
+
+        Args:
+            t_ns: the frame's stamp.
+            q: in rad or m, as the tree tells them; NaN unseen.
+            std: (C,) standard deviations.
+            columns, units: names of the states, the same each time, and their units.
+        """
+        self._check_open()
+        self._rows.live_states(t_ns, q, std, columns, units)
 
     def log_event(self, t_ns: int, level: str, text: str) -> None:
         """Log something that happened; level is INFO, WARN or ERROR."""

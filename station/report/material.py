@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from station.compare import Comparison
+from station.fit.image_checks import Residuals
 from station.fit.result import Fit
 from station.logs import FloatArray
 from station.report.figure7 import Viewing
@@ -109,6 +110,8 @@ class Material:
         T_root_camera: (4, 4) where the camera stood, in the root's frame.
         counts: of session.json: frames, drops by reason, bus errors.
         events: in the order of their times.
+        redoing: what it takes to do the session again.
+        residuals: of corners, tested; None where the tree was not refined on them.
     """
 
     title: str
@@ -125,3 +128,4 @@ class Material:
     counts: Mapping[str, int] = field(default_factory=dict[str, int])
     events: Sequence[Happening] = ()
     redoing: Redoing = Redoing()
+    residuals: Residuals | None = None

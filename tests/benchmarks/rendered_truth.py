@@ -169,7 +169,7 @@ def state_errors(fit: Fit, truth: Truth, part_bodies: dict[str, str]) -> dict[st
         column = fit.states.joints.index(joint.columns[0])
         q, true = fit.states.q[:, column], truth.states(fit.states.t_s)[:, truth.joint(name)]
         std = np.full(q.shape, np.nan) if fit.states.std is None else fit.states.std[:, column]
-        found[name] = StateErrors(name, joint.name, fit.states.t_s, centred(q, true), std)
+        found.setdefault(name, StateErrors(name, joint.name, fit.states.t_s, centred(q, true), std))
     return found
 
 

@@ -7,7 +7,7 @@ import pytest
 from calibration.intrinsics import CameraModel, FloatArray
 from station.errors import InvalidData
 from station.perception.corners import Detections, MarkerDetector
-from station.quadrilaterals import edge_shift_jacobian, shift_edges
+from station.quadrilaterals import edge_shift_jacobian, edge_shift_shares, shift_edges, unshift_edges
 
 SIZE_M = 0.05
 CELLS = 6
@@ -122,10 +122,20 @@ def test_an_id_seen_twice_is_dropped(camera: CameraModel, render: Callable, pose
 
 
 def test_shifted_edges_lie_that_far_out() -> None:
-    square = np.array([[[10.0, 10], [50, 10], [50, 50], [10, 50]]])
-    np.testing.assert_allclose(shift_edges(square, 0.3)[0], [[9.7, 9.7], [50.3, 9.7], [50.3, 50.3], [9.7, 50.3]])
+    square = np.array([[[10.0, 10], [90, 10], [90, 90], [10, 90]]])
+    out = [[9.7, 9.7], [90.3, 9.7], [90.3, 90.3], [9.7, 90.3]]
+    np.testing.assert_allclose(shift_edges(square, 0.3)[0], out, atol=1e-5)
     skew = np.array([[[10.0, 12], [55, 9], [49, 60], [8, 40]]])
-    np.testing.assert_allclose(shift_edges(shift_edges(skew, 0.4), -0.4), skew, atol=1e-12)
+    np.testing.assert_allclose(unshift_edges(shift_edges(skew, 0.4), 0.4), skew, atol=1e-8)
+
+
+def test_edges_of_a_narrow_border_show_less_of_the_shift() -> None:
+    high, narrow_px = 60.0, np.array([9.0, 19.2, 24.0, 42.0])
+    of_width = np.array([[[0.0, 0.0], [w, 0.0], [w, high], [0.0, high]] for w in narrow_px])
+    shares = edge_shift_shares(of_width)
+    np.testing.assert_allclose(shares[:, [0, 2]], 1.0, atol=1e-3)  # across them the marker is 60 px wide
+    np.testing.assert_allclose(shares[:, 1], [0.09, 0.5, 0.74, 0.99], atol=0.01)
+    np.testing.assert_allclose(shares[:, 1], shares[:, 3])
 
 
 @pytest.mark.parametrize("image", [np.zeros((4, 4)), np.zeros((4, 4, 4), np.uint8), np.zeros(4, np.uint8)], ids=str)

@@ -16,6 +16,8 @@ IntArray = NDArray[np.intp]
 
 # A pace is carried on for as many times the time that it was taken over; then states stay.
 FARTHEST = 3.0
+# What all but so many frames err by when they are told by those around; from so many of them at least.
+USUALLY, TRIED_FRAMES = 0.9, 20
 
 
 def carried(
@@ -60,3 +62,37 @@ def _between(
     if skeleton.root_moves:
         root = root @ se3.exp((share - 1)[:, None] * se3.log(se3.inverse(of_a.T_ref_root) @ root))
     return replace(model, T_ref_root=root, q=q)
+
+
+def carrying_error(skeleton: Skeleton, model: TreeModel, t_s: FloatArray, known: IntArray, missing: int) -> FloatArray:
+    """(s,) by how much frames are usually told wrongly by those around them, as `moved` takes it; inf if too few.
+
+    Args:
+        skeleton: of the tree.
+        model: of all frames.
+        t_s: (T,) times.
+        known: frames whose states are to be trusted.
+        missing: every other run of so many of them is told by the rest.
+    """
+    out = np.arange(len(known)) // missing % 2 == 1
+    out[-1:] = False  # between two others, all of them
+    rows = known[out]
+    if len(rows) < TRIED_FRAMES:
+        return np.full(skeleton.states, np.inf)
+    good = np.zeros(len(t_s), dtype=bool)
+    good[known[~out]] = True
+    between, *_ = carried(skeleton, model, t_s, rows, good)
+    return np.quantile(np.abs(from_to(skeleton, model.take(rows), between)), USUALLY, axis=0)
+
+
+def from_to(skeleton: Skeleton, here: TreeModel, there: TreeModel) -> FloatArray:
+    """(n, s) from states to others, as `moved` takes them."""
+    found = np.zeros((len(here.q), skeleton.states))
+    for j, joint in enumerate(skeleton.joints):
+        columns, form = skeleton.state_columns(j), here.frames[j].form
+        M, M_other = (joint.type.axis_motion(of.q[:, columns], form) for of in (here, there))
+        found[:, columns] = se3.log(se3.inverse(M) @ M_other) @ np.linalg.pinv(joint.type.state_twists(form)).T
+    found[:, skeleton.joint_states :] = se3.log(se3.inverse(here.T_ref_root) @ there.T_ref_root)[
+        :, : 6 * skeleton.root_moves
+    ]
+    return found

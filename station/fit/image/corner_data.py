@@ -42,6 +42,7 @@ class CornerData:
         unknowns: of the camera; the numbers that all share.
         views: for what doesn't change from frame to frame.
         part: (M,) which of the tree's parts each is on.
+        points_m: (M, 4, 3) corners in the parts' frames.
         seen: (T, M).
         px: (T, M, 4, 2) corners.
         whitener: (T, M, 8, 8) W with W^T W the inverse covariance as stated; zero unseen.
@@ -52,6 +53,7 @@ class CornerData:
     unknowns: Unknowns
     views: Views
     part: IntArray
+    points_m: FloatArray
     seen: BoolArray
     px: FloatArray
     whitener: FloatArray
@@ -73,9 +75,23 @@ class CornerData:
             motion=None if self.motion is None else self.motion.take(rows),
         )
 
+    def of_marker(self, marker: int) -> CornerData:
+        """One of the markers alone, on a part that is the only one."""
+        one = slice(marker, marker + 1)
+        return replace(
+            self,
+            part=np.zeros(1, dtype=np.intp),
+            points_m=self.points_m[one],
+            seen=self.seen[:, one],
+            px=self.px[:, one],
+            whitener=self.whitener[:, one],
+            motion=None if self.motion is None else self.motion.of_markers(one),
+            scale=self.scale[one],
+        )
+
     def places(self, T_ref_part: FloatArray, readout_s: float) -> FloatArray:
         """(T, M, 4, 3) corners in the camera's frame, each at its own time, by the parts' poses (T, K, 4, 4)."""
-        T_ref_marker, points_m = T_ref_part[:, self.part], self.views.points_m
+        T_ref_marker, points_m = T_ref_part[:, self.part], self.points_m
         if self.motion is None:
             return corner_places(T_ref_marker, points_m)
         xi, _ = self.motion.at(readout_s)
@@ -125,7 +141,7 @@ class CornerData:
         if self.motion is None:
             return np.zeros(self.px.shape)
         xi, by_readout = self.motion.at(readout_s)
-        moves = point_motions(xi, by_readout, self.views.points_m)
+        moves = point_motions(xi, by_readout, self.points_m)
         turned = moves @ np.swapaxes(T_ref_part[:, self.part, :3, :3], -1, -2)
         return (by_place @ turned[..., None])[..., 0]
 
@@ -191,4 +207,4 @@ def corner_data(views: Views, parts: tuple[str, ...], unknowns: Unknowns) -> Cor
     rolling = unknowns.given.readout_s > 0 or "readout_s" in unknowns.names
     row = px[..., 1] / some.camera.size_px[1] - 0.5
     motion = motion_of(some.t_s, row, seen) if rolling else None
-    return CornerData(unknowns, some, some.part, seen, px, whitener, motion, np.ones(shape[1]))
+    return CornerData(unknowns, some, some.part, some.points_m, seen, px, whitener, motion, np.ones(shape[1]))

@@ -94,11 +94,19 @@ class StateEquations:
 
     def step(self, damping: FloatArray) -> tuple[FloatArray, FloatArray]:
         """(T, s) change of the states, damped by so much (T,) of their own information; what it promises (T,)."""
+        step = np.asarray(-np.linalg.solve(self._lifted(damping), self.g[..., None])[..., 0], dtype=np.float64)
+        return step, -np.sum(step * self.g, axis=-1)
+
+    @property
+    def std(self) -> FloatArray:
+        """(T, s) deviations of the states, with the parameters held; large where nothing observes one."""
+        variance = np.diagonal(np.linalg.inv(self._lifted(np.zeros(len(self.g)))), axis1=-2, axis2=-1)
+        return np.asarray(np.sqrt(np.abs(variance)), dtype=np.float64)
+
+    def _lifted(self, damping: FloatArray) -> FloatArray:
         diagonal = np.diagonal(self.H, axis1=-2, axis2=-1)
         lifted = np.where(diagonal > 0, diagonal * (UNOBSERVED + damping[:, None]), 1.0)
-        H = self.H + lifted[..., None] * np.eye(diagonal.shape[-1])
-        step = np.asarray(-np.linalg.solve(H, self.g[..., None])[..., 0], dtype=np.float64)
-        return step, -np.sum(step * self.g, axis=-1)
+        return self.H + lifted[..., None] * np.eye(diagonal.shape[-1])
 
 
 def state_equations(skeleton: Skeleton, model: TreeModel, data: CornerData, weights: FloatArray) -> StateEquations:

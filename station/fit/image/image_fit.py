@@ -28,7 +28,9 @@ class ImageFit:
         chi2: (N,) squared, in units of the covariances with each marker's own scale.
         inlier: (N,) probability that a sighting is no outlier.
         scale: (M,) deviations that the markers' corners turned out to have, as multiples of those stated.
-        doubtful: (N,) sightings that the tree doesn't explain, where another answer may be the right one.
+        doubtful: (N,) sightings that the tree doesn't explain, or that another answer explains as well.
+        two_answers: (T, K) parts that may be elsewhere, as corners tell the frame in two ways; the deviations of states
+            have that in them.
     """
 
     views: Views
@@ -40,6 +42,7 @@ class ImageFit:
     inlier: FloatArray
     scale: FloatArray
     doubtful: BoolArray
+    two_answers: BoolArray
 
 
 def joined(fits: Sequence[ImageFit]) -> ImageFit:
@@ -62,6 +65,7 @@ def joined(fits: Sequence[ImageFit]) -> ImageFit:
         inlier=np.concatenate([fit.inlier for fit in fits])[order],
         scale=np.concatenate([fit.scale for fit in fits]),
         doubtful=np.concatenate([fit.doubtful for fit in fits])[order],
+        two_answers=np.concatenate([fit.two_answers for fit in fits], axis=1),
     )
 
 

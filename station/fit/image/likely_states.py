@@ -156,16 +156,16 @@ def with_bodies_told(
     data: CornerData,
     told: Told,
     around: Sequence[TreeModel],
-    first: int = 0,
+    joints: Sequence[int] | None = None,
 ) -> TreeModel:
     """The model with each body where the likeliest of its own markers puts it, or where it is, or the frames around
-    have it; from the root outward, joints from `first` on.
+    have it; from the root outward, those that hang from some joints only, or all.
     """
-    for j in range(first, len(skeleton.joints)):  # a body needs those before it
+    for j in range(len(skeleton.joints)) if joints is None else joints:  # a body needs those before it
         columns, kind = skeleton.state_columns(j), skeleton.joints[j].type
         members = markers_on(skeleton, data, skeleton.joints[j].far)
         before = model.q[:, columns]
-        proposals = [before, *(other.q[:, columns] for other in around), *states_told(skeleton, model, data, told, j)]
+        proposals = [before, *(other.q[:, columns] for other in around), *_states_told(skeleton, model, data, told, j)]
         best, chosen = np.full(len(before), np.inf), before
         for q in proposals:
             q = kind.nearest_turn(q, before)
@@ -185,17 +185,24 @@ def with_joint(model: TreeModel, columns: slice, q: FloatArray) -> TreeModel:
     return replace(model, q=np.concatenate([model.q[:, : columns.start], q, model.q[:, columns.stop :]], axis=-1))
 
 
-def states_told(skeleton: Skeleton, model: TreeModel, data: CornerData, told: Told, j: int) -> list[FloatArray]:
+def _states_told(skeleton: Skeleton, model: TreeModel, data: CornerData, told: Told, j: int) -> list[FloatArray]:
     """(T, s) states of a joint by both poses of each marker on its far body; the model's where there is none."""
+    q = model.q[:, skeleton.state_columns(j)]
+    return [
+        np.where(
+            told.known[:, m, i, None], state_told(skeleton, model, j, int(data.part[m]), told.T_ref_part[:, m, i]), q
+        )
+        for m in markers_on(skeleton, data, skeleton.joints[j].far)
+        for i in range(SOLUTIONS)
+    ]
+
+
+def state_told(skeleton: Skeleton, model: TreeModel, j: int, part: int, T_ref_part: FloatArray) -> FloatArray:
+    """(T, s) states of a joint that put a part of its far body nearest to poses (T, 4, 4)."""
     joint, frames, sign = skeleton.joints[j], model.frames[j], 1.0
     if joint.turned:  # M(q)^-1 is M(-q)
         near, far = se3.inverse(frames.T_axis_child), se3.inverse(frames.T_parent_axis)
         frames, sign = JointFrames(near, far, frames.form), -1.0
     T_axis_ref = se3.inverse(tree_poses(skeleton, model).bodies[joint.near] @ frames.T_parent_axis)
-    q, found = model.q[:, skeleton.state_columns(j)], list[FloatArray]()
-    for m in markers_on(skeleton, data, joint.far):
-        zero = frames.T_axis_child @ model.mounts[data.part[m]]
-        for i in range(SOLUTIONS):
-            seen = T_axis_ref @ told.T_ref_part[:, m, i]
-            found.append(np.where(told.known[:, m, i, None], sign * joint.type.axis_state(seen, zero, frames.form), q))
-    return found
+    zero = frames.T_axis_child @ model.mounts[part]
+    return sign * joint.type.axis_state(T_axis_ref @ T_ref_part, zero, frames.form)

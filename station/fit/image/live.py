@@ -160,7 +160,8 @@ class _Followed:
         found = [] if self._last is None else [solved(self._chain, data, self._last[1].model, self._still)]
         if found and self._fits(found[0], data):
             return found[0]
-        found += [solved(self._chain, data, start, self._still) for start in self._starts(data, self._still)]
+        for start in self._starts(data, self._still):
+            found += [solved(self._chain, data, start, self._still, trusting=trusting) for trusting in (True, False)]
         best = min(found, key=lambda each: each.cost, default=None)
         if self._still is None or best is None or self._fits(best, data):
             return best

@@ -21,6 +21,8 @@ BoolArray = NDArray[np.bool_]
 MOST_STEPS = 20
 # A step that promises less than this, in squared deviations, is the last one.
 SMALL_GAIN = 1e-2
+# The same where robust steps follow.
+ROUGH_GAIN = 10.0
 # Added to the equations: a state that nothing tells stays where it is. Of a deviation of 1 rad, or 1 m.
 RIDGE = 1.0
 DAMPING_FACTOR, LARGEST_DAMPING = 10.0, 1e6
@@ -77,58 +79,79 @@ class Solved:
         return H[s:, s:] - H[s:, :s] @ np.linalg.solve(H[:s, :s] + RIDGE * np.eye(s), H[:s, s:])
 
 
-def solved(chain: Chain, data: CornerData, start: TreeModel, still: Still | None) -> Solved:
-    """The minimum that a start leads to; Gauss-Newton steps, damped where one leads uphill.
+def solved(chain: Chain, data: CornerData, start: TreeModel, still: Still | None, *, trusting: bool = True) -> Solved:
+    """The minimum that a start leads to.
 
     Args:
         chain: the tree.
         data: corners of one frame.
         start: its states.
         still: what is known of the root's pose beside; None for nothing.
+        trusting: whether no marker is taken for an outlier at first: far from the minimum all look like some.
     """
-    at, damping = _Place.of(chain, data, start, still), 0.0
-    information, g = _equations(chain, data, at, still)
+    at = _Place.of(chain, data, start, still)
+    if trusting:
+        at, _ = _descended(chain, data, at, still, robust=False)
+    at, information = _descended(chain, data, at, still, robust=True)
+    inlier = data.inliers(at.chi2)[0]
+    return Solved(at.model, at.T_ref_part[0], at.chi2[0], inlier, at.cost(data, robust=True), information)
+
+
+def _descended(
+    chain: Chain, data: CornerData, at: _Place, still: Still | None, *, robust: bool
+) -> tuple[_Place, FloatArray]:
+    """The minimum near a place, and the second derivatives (n, n) of half the cost a step before it.
+
+    Gauss-Newton steps, damped where one leads uphill; roughly where more steps follow, robust ones.
+    """
+    damping, enough = 0.0, SMALL_GAIN if robust else ROUGH_GAIN
+    information, g = _equations(chain, data, at, still, robust=robust)
     for _ in range(MOST_STEPS):  # a step needs the last
         damped = information + RIDGE * np.eye(len(g)) + np.diag(damping * np.diagonal(information))
         step: FloatArray = -np.asarray(np.linalg.solve(damped, g), dtype=np.float64)
         there = _Place.of(chain, data, with_moved_states(chain.skeleton, at.model, step[None]), still)
-        better, small = there.cost <= at.cost, -float(step @ g) < SMALL_GAIN
+        better = there.cost(data, robust=robust) <= at.cost(data, robust=robust)
         at = there if better else at
-        if small or damping > LARGEST_DAMPING:
+        if -float(step @ g) < enough or damping > LARGEST_DAMPING:
             break
         damping = damping / DAMPING_FACTOR if better else max(damping * DAMPING_FACTOR, FIRST_DAMPING)
         if better:
-            information, g = _equations(chain, data, at, still)
-    return Solved(at.model, at.T_ref_part[0], at.chi2[0], data.inliers(at.chi2)[0], at.cost, information)
+            information, g = _equations(chain, data, at, still, robust=robust)
+    return at, information
 
 
 @dataclass(frozen=True, eq=False)
 class _Place:
-    """A model, its parts (1, K, 4, 4), the squared residuals there (1, M), how far the root is (6,), what it costs."""
+    """A model, its parts (1, K, 4, 4), the squared residuals there (1, M), the root's twist (6,) from where it stood,
+    and that in units of what is known of it, squared.
+    """
 
     model: TreeModel
     T_ref_part: FloatArray
     chi2: FloatArray
     off: FloatArray
-    cost: float
+    off_squared: float
 
     @staticmethod
     def of(chain: Chain, data: CornerData, model: TreeModel, still: Still | None) -> _Place:
         parts = tree_poses(chain.skeleton, model).parts
-        chi2 = data.chi2(parts, model.shared)
-        off, cost = np.zeros(6), float(data.costs(chi2).sum())
-        if still is not None:
-            off = still.off(model.T_ref_root[0])
-            cost += float(off @ still.information @ off)
-        return _Place(model, parts, chi2, off, cost)
+        off = np.zeros(6) if still is None else still.off(model.T_ref_root[0])
+        off_squared = 0.0 if still is None else float(off @ still.information @ off)
+        return _Place(model, parts, data.chi2(parts, model.shared), off, off_squared)
+
+    def cost(self, data: CornerData, *, robust: bool) -> float:
+        return float((data.costs(self.chi2) if robust else self.chi2).sum()) + self.off_squared
 
 
-def _equations(chain: Chain, data: CornerData, at: _Place, still: Still | None) -> tuple[FloatArray, FloatArray]:
+def _equations(
+    chain: Chain, data: CornerData, at: _Place, still: Still | None, *, robust: bool
+) -> tuple[FloatArray, FloatArray]:
     """(n, n) second derivatives and (n,) gradient of half the cost by the states and the root's pose.
 
     The root is near where it stood, so that its twist from there changes by the perturbation itself.
     """
-    found = equations(chain.skeleton, at.model, data, data.weights(at.chi2))
+    weights = data.weights(at.chi2) if robust else data.seen.astype(np.float64)
+    found = equations(chain.skeleton, at.model, data, weights)
     H, g = found.H_ss[0], found.g_s[0]
     if still is not None:
         H[-6:, -6:] += still.information

@@ -12,14 +12,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from station.fit.image.at_rest import AtRest, at_rest
 from station.fit.image.camera_numbers import Unknowns
 from station.fit.image.corner_data import CornerData, corner_data
 from station.fit.image.corner_noise import scales_of
+from station.fit.image.doubts import parts_elsewhere, unexplained, with_other_answers
 from station.fit.image.image_fit import ImageFit
 from station.fit.image.likely_states import Told, is_odd, mended, with_likely_states
 from station.fit.image.repeated_errors import shared_covariance
+from station.fit.image.two_answers import Others, other_answers
 from station.fit.image.views import COORDINATES, Views
-from station.fit.noise import INLIER_ABOVE
 from station.fit.skeleton import Skeleton, TreeModel
 from station.fit.tree_motion import tree_poses
 from station.fit.tree_problem import Prior, Problem
@@ -36,6 +38,8 @@ ROUNDS = 10
 SCALE_CHANGE, MOTION_CHANGE = 0.03, 0.01
 # Times that states of frames that don't fit are sought anew with better parameters.
 SEEKING_ROUNDS = 3
+# Times that frames go over to other answers.
+ANSWER_ROUNDS = 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,6 +48,7 @@ class Refined:
 
     fit: TreeFit
     image: ImageFit
+    rest: AtRest
 
 
 def refine_image(
@@ -61,14 +66,29 @@ def refine_image(
     skeleton = replace(skeleton, shared=len(unknowns.names))
     model = replace(model, shared=unknowns.start)
     prior = Prior(unknowns.start, np.array(unknowns.prior_std))
-    problem, solution = _solved(Problem(skeleton, corner_data(views, parts, unknowns), prior), model)
-    return _told(problem, solution)
+    return _told(*_solved(Problem(skeleton, corner_data(views, parts, unknowns), prior), model))
 
 
-def _solved(problem: Problem[CornerData], model: TreeModel) -> tuple[Problem[CornerData], Solution]:
-    """The likeliest parameters and states, with the noise that each marker turned out to have."""
+def _solved(problem: Problem[CornerData], model: TreeModel) -> tuple[Problem[CornerData], Solution, Others]:
+    """The likeliest parameters and states, with the noise that each marker turned out to have, and other answers."""
     problem = _moving(problem, model)
-    problem, solution = _settled(problem, model)
+    problem, solution = _settled(problem, refined(problem, model, mended))
+    problem, solution = _with_noise(problem, solution)
+    problem, solution = _settled(problem, solution)  # by the noise that there is some frames may be odd that were not
+    others = other_answers(problem.skeleton, solution.model, problem.measured)
+    for _ in range(ANSWER_ROUNDS):  # better parameters may tell other answers
+        likelier = others.likelier()
+        if not likelier.frame.size:
+            break
+        model = solution.model.with_states(likelier.frame, likelier.model)
+        problem = _moving(problem, model)
+        solution = refined(problem, model, mended)
+        others = other_answers(problem.skeleton, solution.model, problem.measured)
+    return problem, solution, others.undecided()
+
+
+def _with_noise(problem: Problem[CornerData], solution: Solution) -> tuple[Problem[CornerData], Solution]:
+    """With the noise of each marker, and the motion while frames are read, as they turn out to be."""
     for _ in range(ROUNDS):  # better weights and motions tell them better
         scale = scales_of(problem, solution)
         change = np.abs(np.log(scale / problem.measured.scale)).max(initial=0.0)
@@ -79,10 +99,9 @@ def _solved(problem: Problem[CornerData], model: TreeModel) -> tuple[Problem[Cor
     return problem, solution
 
 
-def _settled(problem: Problem[CornerData], model: TreeModel) -> tuple[Problem[CornerData], Solution]:
-    """All refined together; where frames don't fit then, their states sought anew, and again."""
-    solution, told = refined(problem, model, mended), Told.of(problem.measured)
-    in_vain = np.zeros(len(model.q), dtype=bool)
+def _settled(problem: Problem[CornerData], solution: Solution) -> tuple[Problem[CornerData], Solution]:
+    """With the states of frames that don't fit sought anew, and all refined together, again and again."""
+    told, in_vain = Told.of(problem.measured), np.zeros(len(solution.chi2), dtype=bool)
     for _ in range(SEEKING_ROUNDS):  # better parameters may tell better states, and these better parameters
         heat = problem.measured.heat(solution.chi2)
         hot, chi2 = problem.measured.hotter(heat), solution.chi2 / heat
@@ -115,7 +134,7 @@ def _motion_change(before: Problem[CornerData], after: Problem[CornerData], mode
     return float(np.sqrt(np.sum(whitened**2) / max(COORDINATES * after.measured.seen.sum(), 1)))
 
 
-def _told(problem: Problem[CornerData], solution: Solution) -> Refined:
+def _told(problem: Problem[CornerData], solution: Solution, others: Others) -> Refined:
     skeleton, data, model = problem.skeleton, problem.measured, solution.model
     inlier = data.inliers(solution.chi2)
     poses = tree_poses(skeleton, model).parts
@@ -123,6 +142,8 @@ def _told(problem: Problem[CornerData], solution: Solution) -> Refined:
     covariance = shared_covariance(problem, solution)
     states = state_covariances(skeleton, solution.last, covariance, 1.0)
     own = slice(0, skeleton.parameters - skeleton.shared)
+    states = with_other_answers(skeleton, states, others)
+    two = parts_elsewhere(skeleton, others, len(inlier))
     fit = TreeFit(model, covariance[own, own], states, _of_parts(data, inlier), _spread(data))
     variances = np.diagonal(covariance)[skeleton.shared_columns]
     at = data.views.frame, data.views.marker
@@ -135,9 +156,10 @@ def _told(problem: Problem[CornerData], solution: Solution) -> Refined:
         chi2=solution.chi2[at],
         inlier=inlier[at],
         scale=data.scale,
-        doubtful=inlier[at] <= INLIER_ABOVE,
+        doubtful=unexplained(data, solution.chi2)[at] | two[:, data.part][at],
+        two_answers=two,
     )
-    return Refined(fit, image)
+    return Refined(fit, image, at_rest(problem, solution, states))
 
 
 def _of_parts(data: CornerData, inlier: FloatArray) -> FloatArray:

@@ -43,6 +43,10 @@ class Motion:
         """Some of the frames."""
         return Motion(self.row[rows], self.step_s[rows], self.twist[rows], self.known[rows])
 
+    def of_markers(self, columns: slice) -> Motion:
+        """Some of the markers."""
+        return Motion(self.row[:, columns], self.step_s, self.twist[:, columns], self.known[:, columns])
+
     def through(self, T_ref_marker: FloatArray) -> Motion:
         """The motion of markers that go through poses (T, M, 4, 4)."""
         change = se3.log(se3.inverse(T_ref_marker[:-1]) @ T_ref_marker[1:])

@@ -11,6 +11,7 @@ from station.report.sections.events import events_section
 from station.report.sections.fit import fit_section
 from station.report.sections.joints import joints_section
 from station.report.sections.redoing import redoing_section
+from station.report.sections.residuals import residuals_section
 from station.report.sections.seen import seen_section
 from station.report.sections.servos import servos_section
 from station.report.sections.summary import summary_section
@@ -23,6 +24,7 @@ SECTIONS: tuple[Callable[[Material], Section | None], ...] = (
     errors_section,
     tree_section,
     fit_section,
+    residuals_section,
     seen_section,
     timing_section,
     servos_section,

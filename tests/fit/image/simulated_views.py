@@ -191,11 +191,19 @@ def _at_own_times(seen: SeenObject, camera: CameraModel, corner_s: FloatArray, m
 
 
 def shifted(px: FloatArray, outward_px: float) -> FloatArray:
-    """Corners (..., 4, 2), clockwise as seen, of the quadrilaterals whose edges are moved outward."""
+    """Corners (..., 4, 2), clockwise as seen, of the quadrilaterals whose edges are seen outward.
+
+    Those of narrow borders (a sixth of the marker) by less, as blur reaches across: by half at 3.2 px.
+    """
     if not outward_px:
         return px
     by_before, by_here = by_edges(px)
-    return px + outward_px * (by_before + by_here)
+    to_next = np.roll(px, -1, axis=-2) - px
+    ahead, behind = (np.roll(px, n, axis=-2) - px for n in (-2, 1))
+    across = sum(np.abs(to_next[..., 0] * d[..., 1] - to_next[..., 1] * d[..., 0]) for d in (ahead, behind)) / 2
+    border = across / np.linalg.norm(to_next, axis=-1) / 6
+    share = 1 / (1 + np.exp(-(border - 3.2) / 0.75))
+    return px + outward_px * (np.roll(share, 1, axis=-1)[..., None] * by_before + share[..., None] * by_here)
 
 
 def by_edges(px: FloatArray) -> tuple[FloatArray, FloatArray]:
