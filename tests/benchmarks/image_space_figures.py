@@ -52,7 +52,7 @@ TICKS_DEG = (0.002, 0.005, 0.01, 0.02, 0.05)
 # A recording has 887 frames, an arm in motion 300.
 ARMS_A_RECORDING = 2
 # Frames in a bin below which it shows nothing.
-FEWEST = 30
+FEWEST = 20
 
 
 @dataclass(frozen=True, eq=False)
