@@ -86,14 +86,14 @@ def unknowns(camera: CameraModel, readout_s: float, names: tuple[str, ...] = ("e
     given = CameraNumbers(edge_shift_px=camera.edge_shift_px or 0.0, readout_s=readout_s)
     prior = {
         "edge_shift_px": camera.edge_shift_std_px or UNKNOWN_SHIFT_PX,
-        "focal": _focal_std(camera),
+        "focal": focal_std(camera),
         "readout_s": UNKNOWN_READOUT_S,
     }
     return Unknowns(tuple(names), given, tuple(prior.get(name, np.nan) for name in names))
 
 
-def _focal_std(camera: CameraModel) -> float:
-    """Deviation of the factor on both focal lengths: they err together, for the most part."""
+def focal_std(camera: CameraModel) -> float:
+    """Deviation of the calibrated focal lengths, as a share of them: they err together, for the most part."""
     if camera.matrix_std is None:
         return UNKNOWN_FOCAL
     return float(np.mean(camera.matrix_std[[0, 1], [0, 1]] / camera.matrix[[0, 1], [0, 1]])) or UNKNOWN_FOCAL

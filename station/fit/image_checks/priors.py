@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from station.fit.image.camera_numbers import UNKNOWN_FOCAL
+from station.fit.image.camera_numbers import focal_std
 from station.fit.image.image_fit import ImageFit
 from station.fit.image.views import COORDINATES
 from station.fit.image_checks.changes import Effect, as_chi2
@@ -75,15 +75,7 @@ def calibrated_covariance(image: ImageFit, what: str) -> FloatArray:
     if what == PLACE:
         std = np.zeros(LENS) if camera.distortion_std is None else camera.distortion_std[:LENS]
         return np.diag(std**2)
-    return np.array([[focal_std(image) ** 2]])
-
-
-def focal_std(image: ImageFit) -> float:
-    """Deviation of the calibrated focal length, as a share of it."""
-    camera = image.views.camera
-    if camera.matrix_std is None:
-        return UNKNOWN_FOCAL
-    return float(np.mean(camera.matrix_std[[0, 1], [0, 1]] / camera.matrix[[0, 1], [0, 1]]))
+    return np.array([[focal_std(camera) ** 2]])
 
 
 def _estimated(image: ImageFit, what: str) -> float:
