@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2 as chi2_distribution
+from scipy.special import gammaincinv
 
 from station.fit.image.corner_data import CornerData
 from station.fit.pairwise import small_inverse
@@ -82,7 +82,7 @@ def _but_for_errors(x: FloatArray, information: FloatArray, by_errors: FloatArra
     """
     if len(x) < LEAST_FRAMES:
         return False
-    limit = float(chi2_distribution.ppf(USUAL, x.shape[-1]))
+    limit = float(2.0 * gammaincinv(x.shape[-1] / 2, USUAL))
     square, _ = _left(x, information, by_errors, np.ones(len(x), dtype=bool))
     square, taken = _left(x, information, by_errors, square <= limit)  # odd frames mustn't draw the errors
     usual: BoolArray = square <= limit

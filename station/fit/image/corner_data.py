@@ -11,8 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import logsumexp, softmax
-from scipy.stats import chi2 as chi2_distribution
+from scipy.special import gammaincinv, logsumexp, softmax
 
 from station.fit.image.camera_numbers import Unknowns
 from station.fit.image.projection import by_twists, corner_places, projected, with_derivatives
@@ -31,7 +30,7 @@ LOG_DENSITIES = np.log(SHARES) - COORDINATES * np.log(LADDER)
 # What a sighting that is no outlier costs beside its squared residual.
 CONSTANT = -2 * float(LOG_DENSITIES[0])
 # Squared residual up to which the better corners' usually are.
-USUAL = float(chi2_distribution.ppf(BETTER_SHARE, COORDINATES))
+USUAL = float(2.0 * gammaincinv(COORDINATES / 2, BETTER_SHARE))
 # Residual of a corner that the model puts behind the camera.
 BEHIND_PX = 1e4
 
