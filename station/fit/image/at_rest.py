@@ -2,7 +2,8 @@
 
 Poses of a marker seen from the front scatter in a way that no normal distribution has, so that rigid bodies may seem
 to have a joint, or a root that stands still to move. States that a tree's corners tell don't: where all of them are one
-and the same but for their own deviations, the joint is none.
+and the same but for their own deviations, the joint is none. Where a tracker of a body was taken for one of its own,
+what doesn't move need not be a joint: it may hang from another body, and go along (seeming_motion).
 """
 
 from __future__ import annotations
@@ -14,6 +15,9 @@ from numpy.typing import NDArray
 from scipy.stats import chi2 as chi2_distribution
 
 from station.fit.image.corner_data import CornerData
+from station.fit.image.image_fit import ImageFit
+from station.fit.image.seeming_motion import REPEATED_PX, seem_to_move
+from station.fit.image.views import COORDINATES
 from station.fit.pairwise import small_inverse
 from station.fit.tree_elimination import FrameStates
 from station.fit.tree_equations import moved_by
@@ -32,14 +36,19 @@ CHANCE_SIGMAS = 4.0
 LEAST_FRAMES = 10
 # With corners so many times as far off as stated, it is the tree that is wrong, and states say nothing.
 MOST_SCALE = 2.0
+# By so much a marker's noise, as estimated, may grow by chance; and so many more of all sightings be doubtful.
+NOISE_GROWTH, MORE_DOUBTS = 1.1, 0.01
 
 
 @dataclass(frozen=True)
 class AtRest:
-    """Joints of a skeleton without travel, and bodies that stand still though its root is free to move."""
+    """Joints of a skeleton without travel, bodies that stand still though its root is free to move, and pairs of bodies
+    that only seem to move in each other.
+    """
 
     joints: tuple[int, ...]
     bodies: tuple[int, ...]
+    pairs: tuple[tuple[int, int], ...] = ()
 
 
 def at_rest(problem: Problem[CornerData], solution: Solution, state_covariance: tuple[FloatArray, ...]) -> AtRest:
@@ -60,7 +69,29 @@ def at_rest(problem: Problem[CornerData], solution: Solution, state_covariance: 
         and _is_one(q[:, skeleton.state_columns(j)], small_inverse(state_covariance[j]))
     )
     bodies = _standing(problem, solution) if skeleton.root_moves else ()
-    return AtRest(joints, tuple(body for body in bodies if body not in noisy))
+    pairs = tuple(pair for pair in seem_to_move(problem, solution) if noisy.isdisjoint(pair))
+    return AtRest(joints, tuple(body for body in bodies if body not in noisy), pairs)
+
+
+def explains_as_well(simpler: ImageFit | None, other: ImageFit | None) -> bool:
+    """Whether a tree with less motion leaves no more of the corners unexplained than chance and repeated errors do."""
+    if simpler is None or other is None:
+        return simpler is other
+    before = dict(zip(other.views.marker_id.tolist(), _noise_px2(other), strict=True))
+    noise = dict(zip(simpler.views.marker_id.tolist(), _noise_px2(simpler), strict=True))
+    if not before.keys() <= noise.keys():
+        return False
+    grown = any(noise[m] > NOISE_GROWTH**2 * px2 + REPEATED_PX**2 for m, px2 in before.items())
+    return not grown and simpler.doubtful.sum() <= other.doubtful.sum() + MORE_DOUBTS * len(simpler.views)
+
+
+def _noise_px2(image: ImageFit) -> list[float]:
+    """Variance of a coordinate of each marker's corners; 0 of one that was not seen."""
+    views = image.views
+    stated = np.trace(views.covariance_px2, axis1=-2, axis2=-1) / COORDINATES
+    counts = np.bincount(views.marker, minlength=len(views.marker_id))
+    total = np.bincount(views.marker, stated, minlength=len(views.marker_id))
+    return list((image.scale**2 * total / np.maximum(counts, 1)).tolist())
 
 
 def _is_one(x: FloatArray, information: FloatArray) -> bool:
