@@ -30,9 +30,9 @@ from station.logs import FloatArray
 BoolArray = NDArray[np.bool_]
 
 # Root mean square by which corners may seem to move with errors that repeat; on rendered pictures up to 0.016 px.
-REPEATED_PX = 0.03
+REPEATED_PX = 0.05
 # What a body's pose must explain, at least, of the motion beyond the noise.
-EXPLAINED = 0.5
+EXPLAINED = 0.6
 # Frames beyond this quantile of one number are counted apart, and may be so many: flips that are left say nothing.
 USUAL, ODD_SHARE = float(chi2_distribution.ppf(0.999, 1)), 0.02
 # Standard deviations by which the motion may exceed the noise by chance.
@@ -40,8 +40,9 @@ CHANCE_SIGMAS = 4.0
 LEAST_FRAMES = 20
 # Bodies whose places in each other change by more, at the median, are not looked into.
 NEAR_PX = 1.0
-# Share of a pose's variance below which a direction is none that it changes in.
-FLAT = 1e-3
+# Share of a pose's variance below which it has no direction there; and as multiples of the motion: errors of hundredths
+# of a pixel change with places that are pixels apart.
+FLAT, FARTHER = 1e-3, 30.0
 # Polynomials of the pose up to this degree, with at least so many frames for a term, foretell pieces of time this many.
 MOST_DEGREE, FRAMES_A_TERM, PIECES = 4, 6, 10
 
@@ -64,11 +65,12 @@ def seem_to_move(problem: Problem[CornerData], solution: Solution) -> tuple[tupl
 
     chunks = solution.last.each_rows(of_chunk)
     sums = [_Seen.joined([chunk[i] for chunk in chunks]) for i in range(len(near))]
-    return tuple(
-        pair
-        for pair, motion, seen in zip(near, motions, sums, strict=True)
-        if _is_none(poses.bodies[pair[1]], motion, seen)
-    )
+    found: list[tuple[int, int]] = []
+    for pair, motion, seen in zip(near, motions, sums, strict=True):
+        inner = min(pair, key=lambda body: len(problem.skeleton.paths[body]))  # the motion isn't in its pose
+        if _is_none(poses.bodies[inner], motion, seen):
+            found.append(pair)
+    return tuple(found)
 
 
 @dataclass(frozen=True, eq=False)
@@ -192,7 +194,8 @@ def _is_none(T_ref_body: FloatArray, motion: _Motion, seen: _Seen) -> bool:
     if beyond > REPEATED_PX**2 * np.sum(weight * n):
         return False
     share = beyond / np.sum(weight * square)
-    return _explained(_in_pixels(motion.off[rows], seen.metric[rows]), _places(T_ref_body[rows])) > EXPLAINED * share
+    off = motion.off[rows]
+    return _explained(_in_pixels(off, seen.metric[rows]), _places(T_ref_body[rows], off)) > EXPLAINED * share
 
 
 def _in_pixels(off: FloatArray, metric: FloatArray) -> FloatArray:
@@ -202,12 +205,18 @@ def _in_pixels(off: FloatArray, metric: FloatArray) -> FloatArray:
     return seen - seen.mean(axis=0)
 
 
-def _places(T_ref_body: FloatArray) -> FloatArray:
-    """(T, n) where a body is and how it is turned, in the directions in which that changes, of unit variance."""
+def _places(T_ref_body: FloatArray, off: FloatArray) -> FloatArray:
+    """(T, n) where a body is and how it is turned, in the directions in which that changes, of unit variance.
+
+    Args:
+        T_ref_body: (T, 4, 4).
+        off: (T, 6) twists of the motion that this may explain.
+    """
     turned = se3.log(se3.inverse(se3.mean(T_ref_body)) @ T_ref_body)[:, 3:]
     pose = np.concatenate([T_ref_body[:, :3, 3], BALANCE_M * turned], axis=-1)
     U, size, _ = np.linalg.svd(pose - pose.mean(axis=0), full_matrices=False)
-    return U[:, size**2 > FLAT * np.sum(size**2)] * np.sqrt(len(U))
+    least = FARTHER**2 * np.sum((off * np.repeat([1.0, BALANCE_M], 3)) ** 2)
+    return U[:, size**2 > np.maximum(FLAT * np.sum(size**2), least)] * np.sqrt(len(U))
 
 
 def _explained(x: FloatArray, place: FloatArray) -> float:
