@@ -31,7 +31,7 @@ from station.fit.bodies import Group, bodies_of_log, scaled_by_part, with_refere
 from station.fit.comparison import MIN_FRAMES, PairTable, compare_pairs, edge_weights
 from station.fit.copies import without_copies
 from station.fit.fusion import fused_bodies, refined_mounts
-from station.fit.image.at_rest import explains_as_well
+from station.fit.image.simpler import explains_as_well
 from station.fit.image.views import Views
 from station.fit.known_joints import KnownJoints
 from station.fit.options import FitOptions, check_options

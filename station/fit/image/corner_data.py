@@ -11,8 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import logsumexp, softmax
-from scipy.stats import chi2 as chi2_distribution
+from scipy.special import gammaincinv, logsumexp, softmax
 
 from station.fit.image.camera_numbers import Unknowns
 from station.fit.image.projection import by_twists, corner_places, projected, with_derivatives
@@ -29,7 +28,7 @@ LADDER = np.array([1.0, 5.0, 25.0, 125.0, 625.0])
 SHARES = np.array([0.97, 0.012, 0.008, 0.005, 0.005])
 LOG_DENSITIES = np.log(SHARES) - COORDINATES * np.log(LADDER)
 # Squared residual up to which the better corners' usually are.
-USUAL = float(chi2_distribution.ppf(BETTER_SHARE, COORDINATES))
+USUAL = float(2.0 * gammaincinv(COORDINATES / 2, BETTER_SHARE))
 # Residual of a corner that the model puts behind the camera.
 BEHIND_PX = 1e4
 

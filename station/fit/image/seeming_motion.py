@@ -14,7 +14,7 @@ from itertools import combinations, combinations_with_replacement
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2 as chi2_distribution
+from scipy.special import gammaincinv
 
 from station.fit.image.corner_data import CornerData
 from station.fit.image.views import COORDINATES
@@ -34,7 +34,7 @@ REPEATED_PX = 0.05
 # What a body's pose must explain, at least, of the motion beyond the noise.
 EXPLAINED = 0.6
 # Frames beyond this quantile of one number are counted apart, and may be so many: flips that are left say nothing.
-USUAL, ODD_SHARE = float(chi2_distribution.ppf(0.999, 1)), 0.02
+USUAL, ODD_SHARE = 2 * float(gammaincinv(0.5, 0.999)), 0.02
 # Standard deviations by which the motion may exceed the noise by chance.
 CHANCE_SIGMAS = 4.0
 LEAST_FRAMES = 20

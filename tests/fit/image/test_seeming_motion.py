@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from station.fit.image import refinement
-from station.fit.image.at_rest import AtRest, explains_as_well
+from station.fit.image.at_rest import AtRest
 from station.fit.image.seeming_motion import seem_to_move
+from station.fit.image.simpler import explains_as_well
 from station.fit.learner import learn
 from station.fit.options import FitOptions
 from station.fit.tree_solver import refined
