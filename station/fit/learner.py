@@ -38,6 +38,7 @@ from station.fit.options import FitOptions, check_options
 from station.fit.parallel import products_in_one_thread
 from station.fit.result import Fit
 from station.fit.rigid_pairs import RigidPairs
+from station.fit.second_looks import looked_again
 from station.fit.standing import with_standing
 from station.fit.structure import components, shallowest, spanning_forest
 from station.fit.subclusters import merged, singles
@@ -98,7 +99,10 @@ def _learning(log: PoseLog, options: FitOptions, views: Views | None) -> Asking[
     include, copies = _included(log, options), without_copies(log)
     options = replace(options, root=copies.original(options.root))
     seen = views if options.refine in ("image", None) else None
-    return copies.added((yield from _learned(copies.log, options, include, seen)), log.parts)
+    fit = yield from _learned(copies.log, options, include, seen)
+    if seen is not None:
+        fit = yield from looked_again(fit, copies.log, seen, lambda other: _learned(other, options, include, seen))
+    return copies.added(fit, log.parts)
 
 
 def _learned(log: PoseLog, options: FitOptions, include: bool, views: Views | None) -> Asking[Fit]:
