@@ -30,7 +30,7 @@ class ImageFit:
         scale: (M,) deviations that the markers' corners turned out to have, as multiples of those stated.
         doubtful: (N,) sightings that the tree doesn't explain, or that another answer explains as well.
         alike: (M,) correlation of each marker's errors in neighbouring frames.
-        misfit: (M,) markers that the tree as a whole doesn't explain; all their sightings are doubtful.
+        misfit: (M,) markers that the tree as a whole doesn't explain.
         two_answers: (T, K) parts that may be elsewhere, as corners tell the frame in two ways; the deviations of states
             have that in them.
     """
@@ -47,6 +47,11 @@ class ImageFit:
     alike: FloatArray
     misfit: BoolArray
     two_answers: BoolArray
+
+    @property
+    def in_doubt(self) -> BoolArray:
+        """(N,) sightings that are doubtful, or whose marker as a whole is."""
+        return self.doubtful | self.misfit[self.views.marker]
 
 
 def joined(fits: Sequence[ImageFit]) -> ImageFit:

@@ -158,7 +158,7 @@ def _told(problem: Problem[CornerData], solution: Solution, others: Others) -> R
         chi2=solution.chi2[at],
         inlier=inlier[at],
         scale=data.scale,
-        doubtful=(unexplained(data, solution.chi2) | two[:, data.part] | misfit)[at],
+        doubtful=unexplained(data, solution.chi2)[at] | two[:, data.part][at],
         alike=alike,
         misfit=misfit,
         two_answers=two,

@@ -157,7 +157,7 @@ def test_a_marker_that_moves_otherwise_than_its_joint_is_told(frames: int, sigma
     slides = tuple(replace(joint, type="prismatic") if j == 2 else joint for j, joint in enumerate(seen.made.joints))
     image = refined(replace(seen, made=replace(seen.made, joints=slides))).image
     assert image.misfit[3]
-    assert image.doubtful[image.views.marker == 3].all()
+    assert image.in_doubt[image.views.marker == 3].all()
     (remark,) = [remark for remark in remarks_on_corners(image) if "times as far off" in remark]
     assert "3 (p3_b3)" in remark.partition(" are ")[0]
     assert why in remark
@@ -179,6 +179,6 @@ def test_a_marker_of_which_much_fits_nowhere_is_doubtful_as_a_whole() -> None:
     gone = (seen.views.marker == 2) & (seen.views.frame % 3 == 0)
     elsewhere = replace(seen.views, corners_px=seen.views.corners_px + 40.0 * gone[:, None, None])
     image = refined(replace(seen, views=elsewhere)).image
-    assert np.array_equal(image.doubtful, seen.views.marker == 2)
+    assert np.array_equal(image.in_doubt, seen.views.marker == 2)
     _, remark = remarks_on_corners(image)
     assert remark.startswith("so many are left out of marker 2 (p2_b2) that the tree may be wrong there")
