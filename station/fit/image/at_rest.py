@@ -2,7 +2,8 @@
 
 Poses of a marker seen from the front scatter in a way that no normal distribution has, so that rigid bodies may seem
 to have a joint, or a root that stands still to move. States that a tree's corners tell don't: where all of them are one
-and the same but for their own deviations, the joint is none.
+and the same but for their own deviations, the joint is none. Where a tracker of a body was taken for one of its own,
+what doesn't move need not be a joint: it may hang from another body, and go along (seeming_motion).
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from numpy.typing import NDArray
 from scipy.special import gammaincinv
 
 from station.fit.image.corner_data import CornerData
+from station.fit.image.seeming_motion import seem_to_move
 from station.fit.pairwise import small_inverse
 from station.fit.tree_elimination import FrameStates
 from station.fit.tree_equations import moved_by
@@ -36,10 +38,13 @@ MOST_SCALE = 2.0
 
 @dataclass(frozen=True)
 class AtRest:
-    """Joints of a skeleton without travel, and bodies that stand still though its root is free to move."""
+    """Joints of a skeleton without travel, bodies that stand still though its root is free to move, and pairs of bodies
+    that only seem to move in each other.
+    """
 
     joints: tuple[int, ...]
     bodies: tuple[int, ...]
+    pairs: tuple[tuple[int, int], ...] = ()
 
 
 def at_rest(
@@ -63,7 +68,8 @@ def at_rest(
         and _is_one(q[:, skeleton.state_columns(j)], small_inverse(state_covariance[j]))
     )
     bodies = _standing(problem, solution, covariance) if skeleton.root_moves else ()
-    return AtRest(joints, tuple(body for body in bodies if body not in noisy))
+    pairs = tuple(pair for pair in seem_to_move(problem, solution) if noisy.isdisjoint(pair))
+    return AtRest(joints, tuple(body for body in bodies if body not in noisy), pairs)
 
 
 def _is_one(x: FloatArray, information: FloatArray) -> bool:
@@ -82,7 +88,7 @@ def _but_for_errors(x: FloatArray, information: FloatArray, by_errors: FloatArra
     """
     if len(x) < LEAST_FRAMES:
         return False
-    limit = float(2.0 * gammaincinv(x.shape[-1] / 2, USUAL))
+    limit = 2.0 * float(gammaincinv(len(x.T) / 2, USUAL))
     square, _ = _left(x, information, by_errors, np.ones(len(x), dtype=bool))
     square, taken = _left(x, information, by_errors, square <= limit)  # odd frames mustn't draw the errors
     usual: BoolArray = square <= limit
