@@ -63,8 +63,8 @@ ROWS: dict[str, Hardness] = {
 }
 
 HEAD = """\
-             | other                     | right tree, runs | right tree, frames x parts     | other trees      | fit, s
-row     runs | types parted trees unsaid | elsewhere unsaid |   all elsewhere unsaid   false | elsewhere unsaid | med most"""
+            |other                     |right tree, runs |right tree, frames x parts    |other trees     | fit, s
+row     runs|types parted trees unsaid |elsewhere unsaid |  all elsewhere unsaid   false|elsewhere unsaid|med most"""
 
 
 @dataclass(frozen=True)
@@ -193,10 +193,10 @@ def row(name: str, found: list[Trial]) -> str:
     of_wrong = [sum(getattr(trial, what) for trial in wrong) for what in ("elsewhere", "unsaid")]
     seconds = [trial.seconds for trial in found]
     return (
-        f"{name:7} {len(found):4d} | {types:5d} {parted:6d} {trees:5d} {silent:5d}{mark(silent)} |"
-        f" {runs[0]:9d} {runs[1]:5d}{mark(runs[1])} | {frames:5d} {elsewhere:9d} {unsaid:5d}{mark(unsaid)}"
-        f" {100 * false / max(frames, 1):5.2f} % | {of_wrong[0]:9d} {of_wrong[1]:5d}{mark(of_wrong[1])} |"
-        f" {np.median(seconds):4.1f} {max(seconds):4.1f}"
+        f"{name:7} {len(found):4d}|{types:5d} {parted:6d} {trees:5d} {silent:6d}{mark(silent)}"
+        f"|{runs[0]:9d} {runs[1]:6d}{mark(runs[1])}|{frames:5d} {elsewhere:9d} {unsaid:6d}{mark(unsaid)}"
+        f"{100 * false / max(frames, 1):5.2f} %|{of_wrong[0]:9d} {of_wrong[1]:5d}{mark(of_wrong[1])}"
+        f"|{np.median(seconds):3.1f} {max(seconds):4.1f}"
     )
 
 
