@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import gammaincc, gammaln
 
+from station.fit.image_checks.abruptness import is_abrupt
 from station.fit.image_checks.sums import Sums
 from station.logs import FloatArray
 
@@ -133,7 +134,7 @@ def detector_noise(sums: Sums, what: str, profile: FloatArray) -> float:
 
 
 def step_effect(sums: Sums, what: str) -> Effect:
-    """The likeliest change from some time on."""
+    """The likeliest change from some time on; by chance, if it isn't sudden."""
     c, root = sums.columns[what], taken_out(sums.PP)
     A, B, g = (_from_on(x) for x in (sums.DD[:, c, c], sums.by_fit(what), sums.Dr[:, c]))
     informative = np.einsum("tii->t", sums.DD[:, c, c]) > 0
@@ -151,7 +152,7 @@ def step_effect(sums: Sums, what: str) -> Effect:
     behind = np.minimum(scan.gain - scan.gain[best], 0.0)  # where it isn't allowed it may be ahead
     likely = np.where(allowed, np.exp(0.5 * behind / noise), 0.0)
     ratio = (informative.sum() / LEAST_TICKS - 1.0) ** 2
-    log_p = log_chance_of_a_step(x, directions, float(ratio))
+    log_p = log_chance_of_a_step(x, directions, float(ratio)) if is_abrupt(sums, what, best) else 0.0
     return _effect(sums, what, profile, scan, best, log_p, directions, noise, freedom, likely / likely.sum())
 
 

@@ -49,6 +49,7 @@ class Sums:
         DP: (n, D, p), by the first p of the P: those that the fit has by itself.
         Dr: (n, D) gradients of the fit to the residuals.
         detector: (n, M) variance of the detector's own errors of a coordinate, summed over a marker's sightings.
+        pictures: (n, M) how many of each marker there are, those that repeat others counted for less than one.
         PP: (P, P) over all ticks.
         Pr: (P,).
         added: which of the D are among the P too, in this order, each with its profile (n,) over the ticks.
@@ -62,6 +63,7 @@ class Sums:
     DP: FloatArray
     Dr: FloatArray
     detector: FloatArray
+    pictures: FloatArray
     PP: FloatArray
     Pr: FloatArray
     added: tuple[tuple[slice, FloatArray], ...] = ()
@@ -118,11 +120,13 @@ def sums(image: ImageFit, rows: Rows, free: Freedoms) -> Sums:
         np.add.at(Dr, at, gram[:, :D, -1])
         np.add(PP, gram[:, D : D + P, D : D + P].sum(axis=0), out=PP)
         Pr += gram[:, D : D + P, -1].sum(axis=0)
-    detector = np.zeros((n, M))
-    np.add.at(detector, (tick[views.frame[rows.rows]], views.marker[rows.rows]), rows.detector)
+    detector, pictures = np.zeros((n, M)), np.zeros((n, M))
+    there = tick[views.frame[rows.rows]], views.marker[rows.rows]
+    np.add.at(detector, there, rows.detector)
+    np.add.at(pictures, there, rows.share)
     begins = np.flatnonzero(np.diff(tick, prepend=-1))
     ends = np.append(begins[1:], frames) - 1
-    return Sums(columns, views.t_s[begins], views.t_s[ends], tick, DD, DP, Dr, detector, PP, Pr)
+    return Sums(columns, views.t_s[begins], views.t_s[ends], tick, DD, DP, Dr, detector, pictures, PP, Pr)
 
 
 def marker_name(marker: int) -> str:

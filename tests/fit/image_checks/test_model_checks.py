@@ -65,6 +65,15 @@ def test_a_marker_whose_edges_grow_faint_has_larger_errors_of_its_own_and_did_no
         assert not check_image(tree, replace(image, views=views, residual_px=residual_px)).findings
 
 
+def test_what_drifts_within_a_second_or_two_is_no_slip_and_what_jumps_by_as_much_is_one() -> None:
+    tree, image = watched(replace(SHORT, sigma_px=0.02), Wrong(), np.random.default_rng(0))
+    t_s, pattern = image.views.t_s[image.views.frame], np.random.default_rng(9).choice([-1.0, 1.0], 8)
+    for over_s, slips in ((0.8, False), (0.01, True)):
+        own = 0.1 * np.tanh((t_s - 4.0) / over_s)[:, None] * pattern * (image.views.marker == 1)[:, None]
+        findings = check_image(tree, replace(image, residual_px=image.residual_px + own)).findings
+        assert any(finding.kind == "marker" for finding in findings) == slips, findings
+
+
 def test_a_marker_that_slips_is_named_with_its_time_and_its_way() -> None:
     finding = only(checked(SHORT, Wrong(t_s=5.0, marker=2, move=(3e-4, 0, 0, 0, 0, 0)), 1))
     assert (finding.kind, finding.marker_id, finding.part) == ("marker", 5, "link2")
