@@ -124,6 +124,13 @@ class GivenNoise:
         some = Whitening(w.vv[:, :, rows], w.wv[:, :, rows], w.ww[:, :, rows], w.log_v[rows], w.log_w[rows])
         return GivenNoise(some, self.least[rows])
 
+    def frames(self, rows: IntArray, frames: IntArray) -> GivenNoise:
+        """That of some frames (N,) of some pairs (N,), each as a pair of its own."""
+        w = self.unit
+        vv, wv, ww = (matrix[:, :, rows, frames, None] for matrix in (w.vv, w.wv, w.ww))
+        log_v, log_w = (log[rows, frames, None] for log in (w.log_v, w.log_w))
+        return GivenNoise(Whitening(vv, wv, ww, log_v, log_w), self.least[rows])
+
     def whitening(self, scales: FloatArray) -> Whitening:
         """At scales (P, 1)."""
         w, root = self.unit, 1 / np.sqrt(scales)
@@ -178,6 +185,16 @@ class UnknownNoise:
         """The noise of some of the pairs."""
         return UnknownNoise(
             self.position[:, rows], self.noisy[:, rows], self.seen[rows], self.oriented[rows], self.least[rows]
+        )
+
+    def frames(self, rows: IntArray, frames: IntArray) -> UnknownNoise:
+        """That of some frames (N,) of some pairs (N,), each as a pair of its own."""
+        return UnknownNoise(
+            self.position[:, rows, frames, None],
+            self.noisy[:, rows],
+            self.seen[rows, frames, None],
+            self.oriented[rows, frames, None],
+            self.least[rows],
         )
 
     def whitening(self, scales: FloatArray) -> Whitening:
