@@ -64,6 +64,17 @@ def inverse_right_jacobian(w: FloatArray) -> FloatArray:
     return J
 
 
+def triangular_inverse(L: FloatArray) -> FloatArray:
+    """(..., n, n) inverse of lower triangular L (..., n, n), row after row, for all matrices at once."""
+    n, flat = L.shape[-1], L.reshape(-1, *L.shape[-2:])
+    entries, inverse = np.ascontiguousarray(flat.transpose(1, 2, 0)), np.zeros((n, n, len(flat)))
+    for j in range(n):
+        inverse[j, j] = 1 / entries[j, j]
+        np.einsum("kt,kmt->mt", entries[j, :j], inverse[:j, :j], out=inverse[j, :j])
+        inverse[j, :j] *= -inverse[j, j]
+    return np.ascontiguousarray(inverse.transpose(2, 0, 1)).reshape(L.shape)
+
+
 def _power_series(coefficients: tuple[float, ...], x: FloatArray) -> FloatArray:
     value = np.full_like(x, coefficients[-1])
     for coefficient in coefficients[-2::-1]:  # Horner's rule

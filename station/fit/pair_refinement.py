@@ -32,8 +32,8 @@ DAMPING_START, DAMPING_FALL, DAMPING_RISE, DAMPING_MIN, DAMPING_MAX = 1e-3, 0.2,
 # a single frame whose state finds no rest is enough. A step that failed has changed nothing, and counts once the
 # damping leaves of it no more than the states' own.
 STILL_TO_COME, ALL_DAMPED = 2.0, 1.0
-# A frame that a step makes dearer by more, in -2 log likelihood, is looked into; shares of its step that are tried.
-DEARER, SHORTER = 0.1, (0.5, 0.0)
+# A frame that a step makes dearer by more, in -2 log likelihood, is tried with such a share of its state's step.
+DEARER, SHORTER = 0.1, 0.5
 # Share of a step of the noise's scales that is taken if it goes back.
 BACK = 0.5
 
@@ -164,31 +164,39 @@ def _judged(
 ) -> tuple[Model, FloatArray]:
     """The model with its states moved by `step` (P, T, s), and its cost (P,).
 
-    A long step in a curved valley is a good one once the states follow its parameters: where a pair is dearer than
-    before, by -2 log likelihood of its frames (P, T), they do, in frames in which that is better. Of a frame that is
-    dearer still its state goes half as far, or stays.
+    A frame that is dearer than `before`, by its -2 log likelihood (P, T), went too far: its state goes half the way.
+    A long step in a curved valley is a good one once the states follow its parameters: where a pair as a whole is
+    dearer still, they do in frames in which that is better.
     """
     moved = replace(model, q=joint.moved(model.q, step))
     at = errors(joint, moved.frames, moved.q, data.R, data.t)
-    residual = whitening(at.d, at.e)
-    cost = likelihood(data, moved, whitening, residual, room).costs
+    cost = likelihood(data, moved, whitening, whitening(at.d, at.e), room).costs
     if not joint.states:
         return moved, cost.sum(axis=-1)
-    if np.any(cost.sum(axis=-1) > before.sum(axis=-1)):
-        q = joint.moved(moved.q, state_steps(joint, moved.frames, at, trusted, residual))
-        at = errors(joint, moved.frames, q, data.R, data.t)
-        followed = likelihood(data, moved, whitening, whitening(at.d, at.e), room).costs
-        better = (cost.sum(axis=-1) > before.sum(axis=-1))[:, None] & (followed < cost)
-        moved, cost = replace(moved, q=np.where(better[..., None], q, moved.q)), np.where(better, followed, cost)
     rows, frames = np.nonzero(cost > before + DEARER)
     if rows.size:
-        for share in SHORTER:
-            q = joint.moved(model.q[rows, frames], share * step[rows, frames])
-            its_cost = _costs_of_frames(joint, data, moved, q, rows, frames, room)
-            better = its_cost < cost[rows, frames]
-            moved.q[rows[better], frames[better]] = q[better]
-            cost[rows[better], frames[better]] = its_cost[better]
+        q = joint.moved(model.q[rows, frames], SHORTER * step[rows, frames])
+        its_cost = _costs_of_frames(joint, data, moved, q, rows, frames, room)
+        better = its_cost < cost[rows, frames]
+        moved.q[rows[better], frames[better]] = q[better]
+        cost[rows[better], frames[better]] = its_cost[better]
+    worse = np.flatnonzero(cost.sum(axis=-1) > before.sum(axis=-1))
+    if worse.size:
+        q, followed = _followed(joint, data.take(worse), moved.take(worse), trusted.take(worse), room[worse])
+        better = followed < cost[worse]
+        moved.q[worse], cost[worse] = np.where(better[..., None], q, moved.q[worse]), np.fmin(followed, cost[worse])
     return moved, cost.sum(axis=-1)
+
+
+def _followed(
+    joint: JointType, data: PairData, model: Model, trusted: Whitening, room: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """States (P, T, s) that follow a model's parameters, and -2 log likelihood of the frames (P, T) in them."""
+    whitening = data.noise.whitening(model.scales)
+    at = errors(joint, model.frames, model.q, data.R, data.t)
+    q = joint.moved(model.q, state_steps(joint, model.frames, at, trusted, whitening(at.d, at.e)))
+    at = errors(joint, model.frames, q, data.R, data.t)
+    return q, likelihood(data, model, whitening, whitening(at.d, at.e), room).costs
 
 
 def _costs_of_frames(

@@ -70,6 +70,12 @@ class Whitening:
         A[3:] += np.einsum("ijpt,jcpt->icpt", self.wv, u)
         return np.negative(A, out=A)
 
+    def take(self, rows: IntArray | BoolArray) -> Whitening:
+        """That of some of the pairs."""
+        return Whitening(
+            self.vv[:, :, rows], self.wv[:, :, rows], self.ww[:, :, rows], self.log_v[rows], self.log_w[rows]
+        )
+
     def trusting(self, share: FloatArray) -> Whitening:
         """With orientations that count by a share (P, T) only."""
         root = np.sqrt(share)
@@ -120,9 +126,7 @@ class GivenNoise:
 
     def take(self, rows: IntArray | BoolArray) -> GivenNoise:
         """The noise of some of the pairs."""
-        w = self.unit
-        some = Whitening(w.vv[:, :, rows], w.wv[:, :, rows], w.ww[:, :, rows], w.log_v[rows], w.log_w[rows])
-        return GivenNoise(some, self.least[rows])
+        return GivenNoise(self.unit.take(rows), self.least[rows])
 
     def frames(self, rows: IntArray, frames: IntArray) -> GivenNoise:
         """That of some frames (N,) of some pairs (N,), each as a pair of its own."""
