@@ -126,7 +126,6 @@ def compare_pairs(
     *,
     only_rigid: BoolArray | None = None,
     known: KnownJoints | None = None,
-    before: PairTable | None = None,
 ) -> Asking[PairTable]:
     """Fit and score pairs (P, 2) of bodies; pairs with too few common frames get infinite scores.
 
@@ -137,7 +136,6 @@ def compare_pairs(
         criterion: how they are compared.
         only_rigid: (K,) bodies that no movable joint may join; none if None.
         known: of some of the pairs, to start at.
-        before: what is known of the very same pairs with other noise, so that no first look is needed.
     """
     pairs = oriented_pairs(bodies, pairs)
     barred = _any_end(np.zeros(len(bodies.names), dtype=bool) if only_rigid is None else only_rigid, pairs)
@@ -145,9 +143,7 @@ def compare_pairs(
     if known is not None:
         table = replace(table, joints=known.of(pairs, joint_types))
     todo = table.enough
-    if before is not None and np.array_equal(before.pairs, pairs):
-        table, todo = _with_other_noise(table, before), before.careful
-    elif todo.any():
+    if todo.any():
         table = yield from _looked_at(bodies, table, todo, joint_types, SCREENING)
         todo = _undecided(table, barred, len(bodies.names))
     while todo.any():  # what a careful look finds may make contenders of other pairs
@@ -226,12 +222,6 @@ def _nothing_known(bodies: Bodies, pairs: IntArray, joint_types: Sequence[str], 
         T_a_b=np.tile(np.eye(4), (P, 1, 1)),
         joints=KnownJoints.none(pairs, joint_types),
     )
-
-
-def _with_other_noise(table: PairTable, before: PairTable) -> PairTable:
-    """A table with the scores that pairs had with other noise, of which none is known to fit with this one."""
-    scales = np.full_like(table.scales, np.inf)
-    return replace(table, scores=before.scores, scales=scales, misfit=np.ones(len(scales), dtype=bool))
 
 
 def _looked_at(

@@ -145,12 +145,12 @@ def _check_views(log: PoseLog, options: FitOptions, views: Views | None) -> None
 def _find_structure(log: PoseLog, options: FitOptions, include: bool, told: RigidPairs) -> Asking[Structure]:
     parts = with_reference(bodies_of_log(log), log.reference)
     groups, bodies, edges = singles(len(parts.names)), parts, np.zeros((0, 2), dtype=np.intp)
-    known, seen = KnownJoints.none(edges, options.joint_types), None
+    known = KnownJoints.none(edges, options.joint_types)
     for level in count():  # bodies of one round are the parts of the next; each round but the first merges some
         alone = _only_rigid(groups, include)
         pairs = _all_pairs(len(bodies.names), without=alone if options.root_static is False else None)
         table = yield from compare_pairs(
-            bodies, pairs, options.joint_types, options.criterion, only_rigid=alone, known=known, before=seen
+            bodies, pairs, options.joint_types, options.criterion, only_rigid=alone, known=known
         )
         if level == 0 and not table.enough.any():
             raise InvalidData(_too_few(log))
@@ -168,7 +168,6 @@ def _find_structure(log: PoseLog, options: FitOptions, include: bool, told: Rigi
         if level == 0 and options.root_static and not include:
             fixed, T_a_b = with_standing(parts, fixed, T_a_b, options.root)
         before, groups = groups, merged(groups, fixed, T_a_b)
-        seen = table if len(groups) == len(before) else None
         groups, known = refined_mounts(parts, groups), known.renumbered(_numbers_of(before, groups))
         bodies = fused_bodies(parts, groups)
     return Structure(parts, groups, bodies, edges, known)
