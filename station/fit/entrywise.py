@@ -65,14 +65,14 @@ def inverse_right_jacobian(w: FloatArray) -> FloatArray:
 
 
 def triangular_inverse(L: FloatArray) -> FloatArray:
-    """(..., n, n) inverse of lower triangular L (..., n, n), row after row, for all matrices at once."""
-    n, flat = L.shape[-1], L.reshape(-1, *L.shape[-2:])
-    entries, inverse = np.ascontiguousarray(flat.transpose(1, 2, 0)), np.zeros((n, n, len(flat)))
-    for j in range(n):
+    """(T, n, n) inverses of lower triangular matrices (T, n, n), row after row, for all at once."""
+    entries = np.ascontiguousarray(L.transpose(1, 2, 0))
+    inverse = np.zeros(entries.shape)
+    for j in range(len(entries)):
         inverse[j, j] = 1 / entries[j, j]
         np.einsum("kt,kmt->mt", entries[j, :j], inverse[:j, :j], out=inverse[j, :j])
         inverse[j, :j] *= -inverse[j, j]
-    return np.ascontiguousarray(inverse.transpose(2, 0, 1)).reshape(L.shape)
+    return np.ascontiguousarray(inverse.transpose(2, 0, 1))
 
 
 def _power_series(coefficients: tuple[float, ...], x: FloatArray) -> FloatArray:

@@ -117,9 +117,7 @@ def _improved(joint: JointType, data: PairData, progress: Progress) -> Progress:
     linear = linearised(joint, model, at, trusted, residual)
     step, gain = _damped_step(linear, residual, now.inlier, progress.damping)
     moved = replace(model, frames=stepped_frames(joint, model.frames, step))
-    moved, cost = _judged(
-        joint, data, moved, linear.state_step(step), whitening, trusted, now.costs, progress.log_open
-    )
+    moved, cost = _judged(joint, data, moved, linear.state_step(step), whitening, trusted, now.costs, progress.log_open)
     better = cost <= now.cost
     fitted, change = _with_noise(data, moved.where(better, model), now, linear, residual, trusted, progress)
     damping = _damping(progress.damping, better)

@@ -60,7 +60,7 @@ LEAST_ORIENTED = 10
 # best one settle for less.
 FIRST_ITERATIONS, FIRST_FROM_KNOWN = 2, 1
 # Tolerance as a share of how far a type is behind: it won't catch up by a thousandth of that.
-BEHIND_TOLERANCE = 0.1
+BEHIND_TOLERANCE = 0.03
 # So it is for the best one, by how far it is ahead, up to this.
 AHEAD_TOLERANCE = 3.0
 # Share of outliers among poses, and among positions, from which on starts are sought by sample consensus as well:

@@ -103,7 +103,7 @@ def joint_twists(skeleton: Skeleton, model: TreeModel, poses: TreePoses, j: int,
     if kind.form_freedoms:
         columns.append(after @ kind.form_twists(q, frames.form))
     state_twists = kind.state_twists(frames.form)
-    by_states = (after.reshape(-1, 6) @ state_twists).reshape(-1, 6, kind.states)
+    by_states = (after.reshape(-1, 6) @ state_twists).reshape(*after.shape[:-1], kind.states)
     return Twists(
         np.concatenate(columns, axis=-1),
         by_states,
