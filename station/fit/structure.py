@@ -26,8 +26,9 @@ def spanning_forest(nodes: int, pairs: IntArray, weights: FloatArray) -> IntArra
     useful = np.flatnonzero(np.isfinite(weights) & (weights < 0))
     tree = list(range(nodes))  # for each node the number of its tree so far
     edges: list[int] = []
-    for index in useful[np.argsort(weights[useful], kind="stable")].tolist():  # Kruskal: the lightest first
-        one, other = tree[pairs[index, 0]], tree[pairs[index, 1]]
+    lightest: list[int] = useful[np.argsort(weights[useful], kind="stable")].tolist()
+    for index in lightest:  # Kruskal's order
+        one, other = tree[int(pairs[index, 0])], tree[int(pairs[index, 1])]
         if one != other:
             edges.append(index)
             tree = [one if label == other else label for label in tree]

@@ -140,7 +140,7 @@ def _roots(
     scaled = H_ss * scale[..., :, None] * scale[..., None, :]
     lifted = scaled[:, order[:, None], order]
     np.einsum("tii->ti", lifted)[...] += np.where(told, UNOBSERVED + damping, 1.0)[:, order]
-    factor = np.linalg.cholesky(lifted)
+    factor = np.asarray(np.linalg.cholesky(lifted), dtype=np.float64)
     inverse = triangular_inverse(factor)
     weak = np.diagonal(factor, axis1=-2, axis2=-1) ** 2 < WEAK_PIVOT
     if weak.any():  # the row of such a pivot is a direction that was not observed
