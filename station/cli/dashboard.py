@@ -216,13 +216,13 @@ def _seen(value: float | None, unit: Unit) -> Text:
     """A state that the camera saw, which tells it finer than a servo does."""
     if value is None:
         return Text("unseen", "dim")
-    return Text(f"{math.degrees(value):.2f}°" if unit == "rad" else f"{value * 1e3:.2f} mm")
+    return Text(f"{math.degrees(value):z.2f}°" if unit == "rad" else f"{value * 1e3:z.2f} mm")
 
 
 def _state(joint: JointSnapshot, value: float | None) -> Text:
     if value is None:
         return Text("limp", "dim")
-    return Text(f"{math.degrees(value):.1f}°" if joint.unit == "rad" else f"{value * 1e3:.1f} mm")
+    return Text(f"{math.degrees(value):z.1f}°" if joint.unit == "rad" else f"{value * 1e3:z.1f} mm")
 
 
 def _graded(value: float, unit: str, doubtful: float, bad: float) -> Text:

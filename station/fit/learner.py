@@ -31,12 +31,14 @@ from station.fit.bodies import Group, bodies_of_log, scaled_by_part, with_refere
 from station.fit.comparison import MIN_FRAMES, PairTable, compare_pairs, edge_weights
 from station.fit.copies import without_copies
 from station.fit.fusion import fused_bodies, refined_mounts
+from station.fit.image.simpler import explains_as_well
 from station.fit.image.views import Views
 from station.fit.known_joints import KnownJoints
 from station.fit.options import FitOptions, check_options
 from station.fit.parallel import products_in_one_thread
 from station.fit.result import Fit
 from station.fit.rigid_pairs import RigidPairs
+from station.fit.second_looks import looked_again
 from station.fit.standing import with_standing
 from station.fit.structure import components, shallowest, spanning_forest
 from station.fit.subclusters import merged, singles
@@ -97,21 +99,26 @@ def _learning(log: PoseLog, options: FitOptions, views: Views | None) -> Asking[
     include, copies = _included(log, options), without_copies(log)
     options = replace(options, root=copies.original(options.root))
     seen = views if options.refine in ("image", None) else None
-    return copies.added((yield from _learned(copies.log, options, include, seen)), log.parts)
+    fit = yield from _learned(copies.log, options, include, seen)
+    if seen is not None:
+        fit = yield from looked_again(fit, copies.log, seen, lambda other: _learned(other, options, include, seen))
+    return copies.added(fit, log.parts)
 
 
 def _learned(log: PoseLog, options: FitOptions, include: bool, views: Views | None) -> Asking[Fit]:
     joints_only = replace(options, joint_types=options.joints)
-    known = RigidPairs()
+    known, before = RigidPairs(), None
     while True:
         found = yield from _find_structure(log, joints_only, include, known)
         structure, doubts = yield from settled(found, options.joints)
         roots = _roots(structure, log, options, include)
         fit, rigid = yield from assembled(log, options, structure, roots, doubts, include, views)
+        if before is not None and not explains_as_well(fit.image, before.image):
+            return before
         more = known.plus(rigid, len(structure.parts.names))
         if len(more) == len(known):
             return fit
-        known = more  # what corners say to be rigid, the poses were too coarse to tell
+        known, before = more, fit  # what corners say to be rigid, the poses were too coarse to tell
 
 
 def _included(log: PoseLog, options: FitOptions) -> bool:

@@ -146,6 +146,7 @@ def _rigid(structure: Structure, start: TreeStart, found: Refined, options: FitO
     if "rigid" in options.joint_types:
         joints = [start.skeleton.joints[j] for j in found.rest.joints]
         ends += [(_first_part(start, joint.near), _first_part(start, joint.far)) for joint in joints]
+        ends += [(_first_part(start, a), _first_part(start, b)) for a, b in found.rest.pairs]
     if options.root_static is None:
         ends += [(None, _first_part(start, body)) for body in found.rest.bodies]
     poses = tree_poses(start.skeleton, found.fit.model).parts

@@ -8,8 +8,7 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import expit
-from scipy.stats import chi2 as chi2_distribution
+from scipy.special import expit, gammaincinv
 
 from station.fit import entrywise
 from station.fit.bodies import Bodies
@@ -29,7 +28,7 @@ LEAST_INLIER = 1e-3
 # Where a part's better squared residuals, up to this share of its poses, are so many times the usual, the part is not
 # where it belongs; the usual ones of a whole pose, and of a position alone.
 BETTER_SHARE, HOT = 0.25, 2.0
-USUAL = (float(chi2_distribution.ppf(BETTER_SHARE, 6)), float(chi2_distribution.ppf(BETTER_SHARE, 3)))
+USUAL = (float(2.0 * gammaincinv(6 / 2, BETTER_SHARE)), float(2.0 * gammaincinv(3 / 2, BETTER_SHARE)))
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,10 +3,11 @@
 Clean sessions of several kinds: shares in which any test found anything; wanted: at most 1 % of all. Then, one thing
 wrong at a time: in how many sessions it is found and named rightly, how well its time and size are told. Residuals are
 those at the true poses, out of which the tests take all that a fit can do. Then the same after whole fits, of objects
-that are made and seen as for the fit's own tests.
+that are made and seen as for the fit's own tests. Last, clean sessions of the demo's arm in rendered pictures of which
+the detector's own errors are part (benchmark image_rendered): those with the right tree are counted apart.
 
 Run: python -m tests.benchmarks.image_checks [--seed N] [--trials N] [--quick] [--workers N]
-     [--only clean|faults|fitted|fitted-faults]
+     [--only clean|faults|fitted|fitted-faults|rendered]
 """
 
 from __future__ import annotations
@@ -22,6 +23,8 @@ from station.fit.learner import learn
 from station.fit.options import FitOptions
 from station.logs import PoseLog
 from tests.benchmarks.arguments import each, parser, trials_of
+from tests.benchmarks.image_rendered import bodies_right, fitted
+from tests.benchmarks.rendered_arm import rendered_arm
 from tests.fit.image.simulated_views import Scene, Seeing
 from tests.fit.image.simulated_views import watched as made_views
 from tests.fit.image_checks.faulty_views import with_fault
@@ -43,6 +46,8 @@ KINDS: dict[str, Session] = {
     "half unseen": replace(STATIC, unseen=0.5),
 }
 AT_S = 9.0
+# Seeds of rendered sessions count from here: none of them was looked at when the checks' allowances were chosen.
+RENDERED_SEED, RENDERED_FRAMES = 1030, 300
 SEEING = Seeing(correlated=True)
 FITTED: dict[str, tuple[Scene, Seeing]] = {
     "static root": (Scene(joints=3), SEEING),
@@ -149,6 +154,15 @@ def try_fitted_fault(job: tuple[int, tuple[int, ...]]) -> tuple[bool, bool, floa
     return bool(findings), bool(right) and right[0] is findings[0], late, len(findings) == 1
 
 
+def try_rendered(job: tuple[int, int]) -> tuple[bool, tuple[str, ...]]:
+    """Whether the tree is right, and kinds of what was found in a clean session of rendered pictures."""
+    arm = rendered_arm(job[0], frames=job[1])
+    fit = fitted(arm, "image")
+    assert fit.image is not None
+    kinds = tuple(f.kind for f in check_image(fit.tree, fit.image).findings)
+    return bodies_right(fit, arm), kinds
+
+
 def _fitted(poses: PoseLog, views: Views, kinds: Sequence[str]) -> ModelChecks:
     """Of a fit that knows all types that there are: with a type missing a tree is wrong, and is found to be."""
     found = learn(poses, FitOptions(joint_types=("rigid", *kinds)), views)
@@ -183,6 +197,15 @@ def show_suspected(what: str, found: Mapping[str, Sequence[Collection[str]]]) ->
     everything = [names for of in found.values() for names in of]
     suspected, total = sum(map(bool, everything)), len(everything)
     print(f"all: {suspected} of {total}, {100 * suspected / total:.2f} %", flush=True)
+
+
+def show_rendered(seed: int, trials: int, workers: int) -> None:
+    """Print how often clean sessions of rendered pictures are suspected."""
+    jobs = [(RENDERED_SEED + seed + i, RENDERED_FRAMES) for i in range(trials)]
+    found = each(try_rendered, jobs, workers)
+    right = {"right tree": [kinds for is_right, kinds in found if is_right]}
+    wrong = {"wrong tree": [kinds for is_right, kinds in found if not is_right]}
+    show_suspected("clean rendered sessions", {what: of for what, of in {**right, **wrong}.items() if of})
 
 
 def show_fitted_faults(seed: int, trials: int, workers: int) -> None:
@@ -232,7 +255,13 @@ def main() -> None:
             show(chosen.seed, trials_of(chosen), chosen.workers)
 
 
-SHOWS = {"clean": show_clean, "faults": show_faults, "fitted": show_fitted, "fitted-faults": show_fitted_faults}
+SHOWS = {
+    "clean": show_clean,
+    "faults": show_faults,
+    "fitted": show_fitted,
+    "fitted-faults": show_fitted_faults,
+    "rendered": show_rendered,
+}
 
 if __name__ == "__main__":
     main()

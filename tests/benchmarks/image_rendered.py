@@ -108,7 +108,6 @@ def run_seed(job: tuple[int, int]) -> Run:
             )
     image = fits["image"].image
     assert image is not None
-    seen_parts = {arm.table.markers[int(m)].part for m in np.unique(arm.table.rows(arm.observations.marker_id))}
     return Run(
         seed,
         noise.rms_px,
@@ -116,15 +115,17 @@ def run_seed(job: tuple[int, int]) -> Run:
         noise.edge_shift_px,
         image.numbers.edge_shift_px,
         image.numbers_std.edge_shift_px,
-        {refine: _bodies_right(fit, bodies, seen_parts) for refine, fit in fits.items()},
+        {refine: bodies_right(fit, arm) for refine, fit in fits.items()},
         int(np.count_nonzero(image.doubtful)),
         len(image.views),
         joints,
     )
 
 
-def _bodies_right(fit: Fit, bodies: dict[str, str], seen: set[str]) -> bool:
+def bodies_right(fit: Fit, arm: RenderedArm) -> bool:
     """Whether parts are together just where they are on one body, and all joints turn."""
+    bodies = part_bodies(arm.truth, arm.table)
+    seen = {arm.table.markers[int(m)].part for m in np.unique(arm.table.rows(arm.observations.marker_id))}
     wanted = {frozenset(p for p in seen if bodies[p] == body) for body in bodies.values()}
     found = {frozenset(group) for group in fit.tree.rigid_groups}
     return found == {group for group in wanted if len(group) > 1} and all(j.type == "revolute" for j in fit.tree.joints)

@@ -11,8 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import logsumexp, softmax
-from scipy.stats import chi2 as chi2_distribution
+from scipy.special import gammaincinv, logsumexp, softmax
 
 from station.fit.image.camera_numbers import Unknowns
 from station.fit.image.projection import by_twists, corner_places, projected, with_derivatives
@@ -28,8 +27,10 @@ BoolArray = NDArray[np.bool_]
 LADDER = np.array([1.0, 5.0, 25.0, 125.0, 625.0])
 SHARES = np.array([0.97, 0.012, 0.008, 0.005, 0.005])
 LOG_DENSITIES = np.log(SHARES) - COORDINATES * np.log(LADDER)
+# What a sighting that is no outlier costs beside its squared residual.
+CONSTANT = -2 * float(LOG_DENSITIES[0])
 # Squared residual up to which the better corners' usually are.
-USUAL = float(chi2_distribution.ppf(BETTER_SHARE, COORDINATES))
+USUAL = float(2.0 * gammaincinv(COORDINATES / 2, BETTER_SHARE))
 # Residual of a corner that the model puts behind the camera.
 BEHIND_PX = 1e4
 
@@ -180,12 +181,18 @@ class CornerData:
 
     def costs(self, chi2: FloatArray) -> FloatArray:
         """(T, M) -2 log likelihood of each sighting, but for a constant."""
-        return -2 * np.asarray(logsumexp(_log_densities(chi2), axis=0)) * self.seen
+        return costs_of_squares(chi2) * self.seen
+
+
+def costs_of_squares(chi2: FloatArray) -> FloatArray:
+    """(...) -2 log likelihood of sightings with squared residuals (...) in deviations, but for a constant."""
+    return -2 * np.asarray(logsumexp(_log_densities(chi2), axis=0), dtype=np.float64)
 
 
 def _log_densities(chi2: FloatArray) -> FloatArray:
-    """(5, T, M) of the ladder's steps."""
-    return LOG_DENSITIES[:, None, None] - 0.5 * chi2 * LADDER[:, None, None] ** -2
+    """(5, ...) of the ladder's steps."""
+    steps = (-1,) + (1,) * chi2.ndim
+    return LOG_DENSITIES.reshape(steps) - 0.5 * chi2 * LADDER.reshape(steps) ** -2
 
 
 def _probabilities(chi2: FloatArray) -> FloatArray:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2 as chi2_distribution
+from scipy.special import chdtri
 
 from station.fit.image.corner_data import CornerData
 from station.fit.image.image_fit import ImageFit
@@ -27,10 +27,11 @@ def unexplained(data: CornerData, chi2: FloatArray) -> BoolArray:
     together are, all of their frame.
     """
     seen = data.seen
-    alone = seen & (chi2 > chi2_distribution.isf(FALSE_ALARMS / max(int(seen.sum()), 1), COORDINATES))
+    alone = seen & (chi2 > chdtri(COORDINATES, FALSE_ALARMS / max(int(seen.sum()), 1)))
     rest = seen & ~alone
     together = np.sum(chi2 * rest, axis=-1)
-    limit = chi2_distribution.isf(FALSE_ALARMS / len(chi2), np.maximum(COORDINATES * rest.sum(axis=-1), 1))
+    freedom = np.maximum(COORDINATES * rest.sum(axis=-1), 1)
+    limit = np.asarray(chdtri(freedom, FALSE_ALARMS / len(chi2)), dtype=np.float64)
     return alone | (rest & (together > limit)[:, None])
 
 

@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2 as chi2_distribution
+from scipy.special import chdtri
 
 from station.fit.image.carried_states import carried
 from station.fit.image.corner_data import CornerData
@@ -35,7 +35,7 @@ IntArray = NDArray[np.intp]
 
 # A squared residual that chance exceeds so seldom is looked into.
 CHANCE = 1e-4
-ODD = float(chi2_distribution.isf(CHANCE, COORDINATES))
+ODD = float(chdtri(COORDINATES, CHANCE))
 # Steps of the search from far off, and of the last ones, from the likeliest.
 FAR_ROUNDS, NEAR_ROUNDS = 10, 5
 # Where the root moves: so many of the places in which markers put it are looked into.

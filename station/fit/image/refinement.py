@@ -159,7 +159,7 @@ def _told(problem: Problem[CornerData], solution: Solution, others: Others) -> R
         doubtful=unexplained(data, solution.chi2)[at] | two[:, data.part][at],
         two_answers=two,
     )
-    return Refined(fit, image, at_rest(problem, solution, states))
+    return Refined(fit, image, at_rest(problem, solution, covariance, states))
 
 
 def _of_parts(data: CornerData, inlier: FloatArray) -> FloatArray:

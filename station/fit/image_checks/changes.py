@@ -16,10 +16,6 @@ REDUNDANT = 1e-10
 LEAST_KNOWN = {"twist": (0.02, 0.02, 0.02, 0.2, 0.2, 0.2), "number": (1.0,)}
 # Directions that have less information than this share of the best known one are left out: sizes are of what is seen.
 FAINT = 1e-4
-# Detectors' own errors of a coordinate, px, which change with a marker's pose as slowly as that does: as large as their
-# noise on rendered pictures. Without, 22 of 44 clean rendered sessions are suspected; with it none (0.01 was the least
-# that did for the 10 of them that it was set by).
-DETECTOR_PX = 0.015
 # Ticks on either side of a change.
 LEAST_TICKS = 3
 # Blocks of time between which the noise is looked at, and how many ticks one has at least.
@@ -123,17 +119,17 @@ def _scan(A: FloatArray, B: FloatArray, g: FloatArray, root: FloatArray, Pr: Flo
 def detector_noise(sums: Sums, what: str, profile: FloatArray) -> float:
     """Variance of a gain by what detectors' own errors make of a change over time (n,), in that of corners' noise.
 
-    An error of DETECTOR_PX of each coordinate that goes by the profile, each marker's by itself.
+    An error of each coordinate that goes by the profile, each marker's by itself.
     """
     c = sums.columns[what]
     involved = np.einsum("tii->t", sums.DD[:, c, c]) > 0
     kind, _, number = what.partition(" ")
-    of = sums.per_px2[:, int(number)][:, None] if kind == "marker" else sums.per_px2
+    of = sums.detector[:, int(number)][:, None] if kind == "marker" else sums.detector
     seen = np.flatnonzero(of.sum(axis=0) > 0)
     of, w = of[involved][:, seen], profile[involved, None]
     total: FloatArray = of.sum(axis=0)
     spread: FloatArray = np.sum(of * w**2, axis=0) - np.sum(of * w, axis=0) ** 2 / total
-    return DETECTOR_PX**2 * float(spread.sum()) / len(seen) if len(seen) else 0.0
+    return float(spread.sum()) / len(seen) if len(seen) else 0.0
 
 
 def step_effect(sums: Sums, what: str) -> Effect:

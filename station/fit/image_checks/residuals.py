@@ -13,6 +13,7 @@ from station.fit.image.views import COORDINATES, CORNERS
 from station.fit.image_checks.checks import check_image
 from station.fit.image_checks.directions import tilts_rad
 from station.fit.image_checks.findings import ModelChecks
+from station.fit.parallel import products_in_one_thread
 from station.kinematics.tree import KinematicTree
 from station.logs import FloatArray, frozen_floats
 from station.quadrilaterals import edge_shift_jacobian
@@ -101,6 +102,8 @@ def checked_residuals(tree: KinematicTree, image: ImageFit) -> Residuals:
     views = image.views
     variance: FloatArray = np.einsum("nii->n", views.covariance_px2) / COORDINATES
     residual: FloatArray = image.residual_px.reshape(-1, CORNERS, 2)
+    with products_in_one_thread():
+        checks = check_image(tree, image)
     return Residuals(
         t_s=views.t_s[views.frame],
         marker_id=views.marker_id[views.marker],
@@ -114,7 +117,7 @@ def checked_residuals(tree: KinematicTree, image: ImageFit) -> Residuals:
         inlier=image.inlier,
         doubtful=image.doubtful,
         size_px=views.camera.size_px,
-        checks=check_image(tree, image),
+        checks=checks,
     )
 
 

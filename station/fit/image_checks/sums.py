@@ -48,7 +48,7 @@ class Sums:
         DD: (n, D, D).
         DP: (n, D, P).
         Dr: (n, D) gradients of the fit to the residuals.
-        per_px2: (n, M) information of each marker's sightings about a shift of one of its coordinates.
+        detector: (n, M) variance of the detector's own errors of a coordinate, summed over a marker's sightings.
         PP: (P, P) over all ticks.
         Pr: (P,).
     """
@@ -60,7 +60,7 @@ class Sums:
     DD: FloatArray
     DP: FloatArray
     Dr: FloatArray
-    per_px2: FloatArray
+    detector: FloatArray
     PP: FloatArray
     Pr: FloatArray
 
@@ -111,11 +111,11 @@ def sums(image: ImageFit, rows: Rows, free: Freedoms) -> Sums:
         np.add.at(Dr, at, gram[:, :D, -1])
         np.add(PP, gram[:, D : D + P, D : D + P].sum(axis=0), out=PP)
         Pr += gram[:, D : D + P, -1].sum(axis=0)
-    per_px2 = np.zeros((n, M))
-    np.add.at(per_px2, (tick[views.frame[rows.rows]], views.marker[rows.rows]), rows.per_px2)
+    detector = np.zeros((n, M))
+    np.add.at(detector, (tick[views.frame[rows.rows]], views.marker[rows.rows]), rows.detector)
     begins = np.flatnonzero(np.diff(tick, prepend=-1))
     ends = np.append(begins[1:], frames) - 1
-    return Sums(columns, views.t_s[begins], views.t_s[ends], tick, DD, DP, Dr, per_px2, PP, Pr)
+    return Sums(columns, views.t_s[begins], views.t_s[ends], tick, DD, DP, Dr, detector, PP, Pr)
 
 
 def marker_name(marker: int) -> str:

@@ -39,6 +39,8 @@ class Seeing:
         sigma_px: standard deviation of the corners' coordinates; if `correlated`, of the places of edges at their ends,
             with what neighbours then share.
         stated: deviations that are told, as multiples of the true ones.
+        uneven_px: by which each edge is seen outward beside that, about, by where and how it lies: alike in all frames
+            in which the marker is seen alike.
         edge_shift_px: by which edges are seen outward; told_shift_px: what the calibration says, None for nothing, with
             the deviation `told_shift_std_px`.
         readout_s: of the rolling shutter; told_readout_s: what the fit is told, None for the truth.
@@ -51,6 +53,7 @@ class Seeing:
     correlated: bool = False
     stated: float = 1.0
     edge_shift_px: float = 0.0
+    uneven_px: float = 0.0
     told_shift_px: float | None = None
     told_shift_std_px: float | None = None
     readout_s: float = 0.0
@@ -132,6 +135,7 @@ def watch(rng: np.random.Generator, seen: SeenObject, seeing: Seeing) -> Watched
     true_camera = _true_camera(told, seeing)
     t_s, made = seen.scene.t_s, seen.at(seen.scene.t_s)
     exact = shifted(corners_px(seen, true_camera, t_s, seeing.readout_s), seeing.edge_shift_px)
+    exact = unevenly_shifted(exact, seeing.uneven_px)
     there = rng.uniform(size=exact.shape[:2]) >= seeing.missing
     frame, marker = np.nonzero(there)
     true_px = exact[frame, marker]
@@ -204,6 +208,17 @@ def shifted(px: FloatArray, outward_px: float) -> FloatArray:
     border = across / np.linalg.norm(to_next, axis=-1) / 6
     share = 1 / (1 + np.exp(-(border - 3.2) / 0.75))
     return px + outward_px * (np.roll(share, 1, axis=-1)[..., None] * by_before + share[..., None] * by_here)
+
+
+def unevenly_shifted(px: FloatArray, uneven_px: float) -> FloatArray:
+    """Corners (..., 4, 2) whose edges are seen outward by a smooth function of their place, direction and length."""
+    if not uneven_px:
+        return px
+    edge = np.roll(px, -1, axis=-2) - px
+    direction, length = np.arctan2(edge[..., 1], edge[..., 0]), np.linalg.norm(edge, axis=-1)
+    off = np.sin(direction + px[..., 0] / 60) + np.cos(2 * direction + px[..., 1] / 80 + length / 20)
+    by_before, by_here = by_edges(px)
+    return px + uneven_px * (np.roll(off, 1, axis=-1)[..., None] * by_before + off[..., None] * by_here)
 
 
 def by_edges(px: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -52,6 +52,19 @@ def test_a_detectors_own_error_that_changes_with_the_pose_is_no_slip() -> None:
         assert not check_image(tree, replace(image, residual_px=image.residual_px + own)).findings
 
 
+def test_a_marker_whose_edges_grow_faint_has_larger_errors_of_its_own_and_did_not_slip() -> None:
+    """As a marker that turns edge-on: its last pictures are four times as noisy, and off by as much."""
+    for seed in range(3):
+        tree, image = watched(replace(SHORT, sigma_px=0.03), Wrong(), np.random.default_rng(seed))
+        views, worse = image.views, (image.views.marker == 1) & (image.views.t_s[image.views.frame] > 6.5)
+        covariance_px2, residual_px = views.covariance_px2.copy(), image.residual_px.copy()
+        covariance_px2[worse] *= 16.0
+        own_px = 0.08 * np.random.default_rng(seed).choice([-1.0, 1.0], 8)
+        residual_px[worse] = 4.0 * residual_px[worse] + own_px
+        views = replace(views, covariance_px2=covariance_px2)
+        assert not check_image(tree, replace(image, views=views, residual_px=residual_px)).findings
+
+
 def test_a_marker_that_slips_is_named_with_its_time_and_its_way() -> None:
     finding = only(checked(SHORT, Wrong(t_s=5.0, marker=2, move=(3e-4, 0, 0, 0, 0, 0)), 1))
     assert (finding.kind, finding.marker_id, finding.part) == ("marker", 5, "link2")

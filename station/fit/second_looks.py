@@ -1,0 +1,169 @@
+"""Trees learned anew where the corners don't bear out what was learned, and markers have two poses each.
+
+What hides a tree, or makes another one of it, are poses on the wrong branch in a good part of the frames. So it is
+learned again from logs in which these are chosen otherwise (pose_choices), and from the poses that are nearest to the
+likeliest of these trees, until one leaves no doubt. The likeliest by the corners is kept.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+
+from station.errors import InvalidData
+from station.fit.asking import Asking
+from station.fit.image.corner_data import CONSTANT, costs_of_squares
+from station.fit.image.image_fit import ImageFit
+from station.fit.image.pose_choices import two_poses
+from station.fit.image.two_answers import UNDECIDED
+from station.fit.image.views import COORDINATES, Views
+from station.fit.noise import INLIER_ABOVE
+from station.fit.result import Fit
+from station.kinematics.tree import KinematicTree
+from station.logs import PoseLog
+
+# Doubtful is a tree that leaves out more of a marker's sightings, or has its corners so many deviations of chance
+# farther off than those of the better markers, below this quantile.
+LEFT_OUT, CHANCE_SIGMAS, BETTER = 0.1, 4.0, 0.25
+# Numbers of a sighting that its frame's states leave, about.
+LEFT_OVER = 5.0
+# Of the poses of some part so many are to be otherwise at least, for a tree to be.
+OTHERWISE = 0.1
+# In -2 log likelihood: less is no likelier tree.
+CLEARER = 1.0
+# Numbers of a joint that are the same in all frames, about, and of a pose.
+OF_A_JOINT, OF_A_POSE = 9, 6
+
+
+@dataclass(frozen=True, eq=False)
+class _Look:
+    """A fit, and its -2 log likelihood by the corners, with what its numbers would explain by chance."""
+
+    fit: Fit
+    cost: float
+
+
+def looked_again(fit: Fit, log: PoseLog, views: Views, learned: Callable[[PoseLog], Asking[Fit]]) -> Asking[Fit]:
+    """The likeliest tree, if the one that was learned is doubtful; else that.
+
+    Args:
+        fit: as learned from the log.
+        log: that is from the views.
+        views: of all of its parts.
+        learned: learns from another log of these parts.
+    """
+    if not is_doubtful(fit):
+        return fit
+    poses = two_poses(log, views)
+    if poses.share < OTHERWISE:
+        return fit
+    best = _Look(fit, cost_of(fit, log, views))
+    looks = [best]
+    others = [poses.likelier, poses.between, poses.wider]
+    others += [] if fit.image is None else [partial(poses.as_told, fit.image, _in_doubt(fit.image))]
+    for other in others:
+        looks += yield from _look(other(), log, views, learned)
+        while (likeliest := _likeliest(looks)) is not best and likeliest.fit.image is not None:
+            best = likeliest
+            if not is_doubtful(best.fit):
+                return _told(looks)
+            looks += yield from _look(poses.as_told(likeliest.fit.image), log, views, learned)
+    return _told(looks)
+
+
+def _look(other: PoseLog, log: PoseLog, views: Views, learned: Callable[[PoseLog], Asking[Fit]]) -> Asking[list[_Look]]:
+    try:
+        fit = yield from learned(other)
+    except InvalidData:  # from these poses nothing can be learned
+        return []
+    return [_Look(fit, cost_of(fit, log, views))]
+
+
+def _likeliest(looks: Sequence[_Look]) -> _Look:
+    """The first of the likeliest: another has to be likelier by more than nothing."""
+    best = looks[0]
+    for look in looks[1:]:
+        best = look if look.cost < best.cost - CLEARER else best
+    return best
+
+
+def is_doubtful(fit: Fit) -> bool:
+    """Whether corners are left out or far off for some marker, or nothing connects the bodies."""
+    return fit.image is None or len(fit.tree.trees) > 1 or bool(_in_doubt(fit.image))
+
+
+def _in_doubt(image: ImageFit) -> frozenset[str]:
+    """Parts of which corners are left out or far off."""
+    marker, count = image.views.marker, len(image.views.marker_id)
+    seen = np.maximum(np.bincount(marker, minlength=count), 1)
+    left_out = np.bincount(marker, image.inlier <= INLIER_ABOVE, minlength=count) / seen
+    usual = float(np.quantile(image.scale, BETTER))
+    too_far = image.scale / usual > 1 + CHANCE_SIGMAS / np.sqrt(2 * LEFT_OVER * seen)
+    parts: list[int] = image.views.part[(left_out > LEFT_OUT) | too_far].tolist()
+    return frozenset(image.views.parts[k] for k in parts)
+
+
+def cost_of(fit: Fit, log: PoseLog, views: Views) -> float:
+    """-2 log likelihood of all corners by a fit, and twice the numbers that it has (Akaike, 1974).
+
+    A body that nothing connects has a pose in each frame, and its corners are as far off as chance has them then.
+    """
+    image = fit.image
+    if image is None:
+        return _unconnected(log, views, set(), 1.0)
+    sightings = np.bincount(image.views.marker, minlength=len(image.scale))
+    cost = float(np.sum(costs_of_squares(image.chi2)) + 2 * COORDINATES * np.sum(sightings * np.log(image.scale)))
+    return (
+        cost
+        + 2 * _numbers(fit.tree, fit, image)
+        + _unconnected(log, views, set(image.views.parts), float(np.median(image.scale)))
+    )
+
+
+def _numbers(tree: KinematicTree, fit: Fit, image: ImageFit) -> float:
+    """That were fitted: states, poses of roots that move, what all frames share."""
+    found = float(np.isfinite(fit.states.q).sum()) + OF_A_JOINT * len(tree.joints) + OF_A_POSE * len(tree.mounts)
+    for bodies in tree.trees:
+        column = next((image.views.parts.index(body) for body in bodies if body in image.views.parts), None)
+        if column is None:
+            continue
+        T = image.T_ref_part[:, column]
+        known = T[np.isfinite(T).all(axis=(-2, -1))]
+        moves = len(known) and np.ptp(known, axis=0).max() > 0
+        found += OF_A_POSE * (len(known) if moves else 1)
+    return found
+
+
+def _unconnected(log: PoseLog, views: Views, connected: set[str], scale: float) -> float:
+    """What corners of parts without a tree cost, with deviations so many times those stated."""
+    alone = [k for k, part in enumerate(views.parts) if part in log.parts and part not in connected]
+    rows = np.isin(views.part[views.marker], alone)
+    poses = len(np.unique(views.frame[rows] * len(views.parts) + views.part[views.marker[rows]]))
+    sighting = COORDINATES + CONSTANT + 2 * COORDINATES * np.log(scale)
+    return float(rows.sum() * sighting - OF_A_POSE * poses + 2 * OF_A_POSE * poses)  # what poses explain, and have
+
+
+def _told(looks: Sequence[_Look]) -> Fit:
+    """The likeliest; if another tree is nearly as likely, with a warning."""
+    best = _likeliest(looks)
+    others = [look for look in looks if _edges(look.fit) != _edges(best.fit)]
+    near = min(others, key=lambda look: look.cost, default=None)
+    if near is None or near.cost > best.cost + UNDECIDED:
+        return best.fit
+    told = [
+        f"{kind} {' to '.join(sorted(ends))}" for kind, ends in sorted(_edges(near.fit) - _edges(best.fit), key=str)
+    ]
+    odds = float(np.exp((near.cost - best.cost) / 2))
+    warning = (
+        f"another tree explains the corners nearly as well ({', '.join(told) or 'with fewer joints'}): the odds are "
+        f"{odds:.1f} to 1; bring the markers nearer, or tilt them"
+    )
+    return replace(best.fit, tree=replace(best.fit.tree, warnings=(*best.fit.tree.warnings, warning)))
+
+
+def _edges(fit: Fit) -> set[tuple[str, frozenset[str]]]:
+    found = {(joint.type, frozenset((joint.parent, joint.child))) for joint in fit.tree.joints}
+    return found | {("rigid", frozenset(group)) for group in fit.tree.rigid_groups}
