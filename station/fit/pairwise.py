@@ -220,7 +220,7 @@ class _Work:
         return self._retried(joint, begun, rows, start)
 
     def _finished(self, joint: JointType, progress: Progress, limit: FloatArray) -> JointFit:
-        rest = self.iterations - self._first
+        rest = self.iterations - FIRST_ITERATIONS
         return finished(
             joint, self.tracks.data, improve(joint, self.tracks.data, progress, iterations=rest, tolerance=limit)
         )
