@@ -136,12 +136,12 @@ class _Work:
     def _limits(self, begun: Mapping[str, Progress]) -> FloatArray:
         """(types, P) tolerances by how far types are behind the best one, or the best one is ahead of the others."""
         cost = np.stack([progress.cost for progress in begun.values()])
-        rows, best = np.arange(cost.shape[1]), np.argmin(cost, axis=0)
-        behind = cost - cost[best, rows]
+        behind = cost - np.min(cost, axis=0)
         limits = np.maximum(self.tolerance, BEHIND_TOLERANCE * behind)
         if len(cost) > 1:
             ahead = BEHIND_TOLERANCE * np.sort(behind, axis=0)[1]
-            limits[best, rows] = np.clip(ahead, self.tolerance, max(AHEAD_TOLERANCE, self.tolerance))
+            most = max(AHEAD_TOLERANCE, self.tolerance)
+            limits = np.where(behind > 0, limits, np.clip(ahead, self.tolerance, most))
         return limits
 
     def _begun_again(self, joints: Mapping[str, JointType], begun: Mapping[str, Progress]) -> dict[str, Progress]:
