@@ -137,11 +137,12 @@ class _Work:
         """(types, P) tolerances by how far types are behind the best one, or the best one is ahead of the others."""
         cost = np.stack([progress.cost for progress in begun.values()])
         behind = cost - np.min(cost, axis=0)
-        limits = np.maximum(self.tolerance, BEHIND_TOLERANCE * behind)
+        limits: FloatArray = np.maximum(self.tolerance, BEHIND_TOLERANCE * behind)
         if len(cost) > 1:
             ahead = BEHIND_TOLERANCE * np.sort(behind, axis=0)[1]
             most = max(AHEAD_TOLERANCE, self.tolerance)
-            limits = np.where(behind > 0, limits, np.clip(ahead, self.tolerance, most))
+            of_best: FloatArray = np.clip(ahead, self.tolerance, most)
+            limits = np.where(behind > 0, limits, of_best)
         return limits
 
     def _begun_again(self, joints: Mapping[str, JointType], begun: Mapping[str, Progress]) -> dict[str, Progress]:
