@@ -11,9 +11,11 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-# Tests run side by side and fill the cores by themselves: threads of matrix products would only wait for each other,
-# which made some take up to four times the processor's time. Set before NumPy comes, and for programs that tests start.
+# Tests run side by side and fill the cores by themselves: threads of matrix products, and of pictures, would only wait
+# for each other, which made some take up to four times the processor's time. Set before NumPy and OpenCV come, and for
+# programs that tests start.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+os.environ.setdefault("OPENCV_FOR_THREADS_NUM", "1")
 
 import hypothesis
 import pytest

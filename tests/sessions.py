@@ -6,6 +6,7 @@ from pathlib import Path
 
 from station.capture.counts import CaptureCounts
 from station.commands import capturing
+from station.rig_reading import packaged
 
 # Two joints move by enough to be found; two seconds and a half.
 SHORT = """
@@ -24,6 +25,19 @@ move = { base_pan = 0, shoulder = 0, wrist = 0 }
 speed_deg_s = 50
 hold_s = 0.1
 """
+
+
+def slower_rig(name: str, folder: Path, fps: int = 10) -> str:
+    """A packaged rig whose camera takes fewer pictures, each at one instant, in `folder`; returns its path.
+
+    For claims about what moves: drawing a picture and looking for its markers takes most of a capture's time.
+    """
+    text = packaged("rigs", name).read_text(encoding="utf-8")
+    assert "fps = 30\n" in text and "blur_instants = 2\n" in text
+    path = folder / f"{name}.toml"
+    slower = text.replace("fps = 30\n", f"fps = {fps}\n").replace("blur_instants = 2\n", "blur_instants = 1\n")
+    path.write_text(slower, encoding="utf-8")
+    return str(path)
 
 
 def write_motion(folder: Path, text: str = SHORT) -> str:

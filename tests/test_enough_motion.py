@@ -14,6 +14,7 @@ from station.logs import FloatArray
 from station.motion import EachJoint, Explore, JointLimits, Motion, plan_motion
 from station.recording import Recording
 from station.rig import load_rig
+from tests.sessions import slower_rig
 
 PAN = JointLimits("pan", -1.5, 1.5, 1.0)
 LIFT = JointLimits("lift", 0.0, 0.3, 0.1, unit="m")
@@ -76,7 +77,7 @@ def test_the_tally_of_a_session_is_the_travel_that_its_fit_finds(tmp_path: Path)
     head = 'schema = "motion/1"\nname = "m"\nmode = "stream"\n'
     text = head + "[[step]]\neach_joint = { at_most_deg = 9 }\nspeed_deg_s = 30\n"
     (tmp_path / "m.toml").write_text(text, encoding="utf-8")
-    capturing.capture("demo", str(tmp_path / "m.toml"), tmp_path / "s")
+    capturing.capture(slower_rig("demo", tmp_path), str(tmp_path / "m.toml"), tmp_path / "s")
     fitting.fit(tmp_path / "s")
     recording, table = Recording.load(tmp_path / "s"), load_rig("demo").table
     tally = MotionTally(table.limits(), sides_of(table))

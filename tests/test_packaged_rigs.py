@@ -12,8 +12,9 @@ from station.commands import capturing, fitting, planning, reporting
 from station.compare import Comparison
 from station.motion import Plan
 from station.rig import load_rig
-from station.rig_reading import packaged, packaged_names
+from station.rig_reading import packaged_names
 from tests.benchmarks.demo_seeds import rmse_deg
+from tests.sessions import slower_rig
 
 NAMES = packaged_names("rigs")
 RUN_WHOLE_ELSEWHERE = ("demo", "openmanipulator_x")
@@ -56,17 +57,15 @@ def two_joints(name: str, planned: Plan) -> dict[str, float]:
     return {joint: targets[joint] for joint in (first, last)}
 
 
-def piece(name: str, folder: Path) -> tuple[Path, Path, set[str]]:
+def piece(name: str, folder: Path) -> tuple[str, Path, set[str]]:
     """The rig with a slower camera, and a motion of two of its joints, one after the other."""
-    rig = packaged("rigs", name).read_text(encoding="utf-8").replace("fps = 30", "fps = 15")
-    (folder / "rig.toml").write_text(rig.replace("blur_instants = 2", "blur_instants = 1"), encoding="utf-8")
     planned = planning.plan(name, name)
     parked = {joint.name: float(np.degrees(joint.park)) for joint in planned.joints}
     moves = [(joint, to) for joint, there in two_joints(name, planned).items() for to in (there, parked[joint])]
     steps = "".join(f"[[step]]\nmove = {{ {j} = {to:.3f} }}\nspeed_deg_s = 40\nhold_s = 0.2\n" for j, to in moves)
     text = f'schema = "motion/1"\nname = "piece"\nmode = "{planned.motion.mode}"\n{steps}'
     (folder / "motion.toml").write_text(text, encoding="utf-8")
-    return folder / "rig.toml", folder / "motion.toml", {joint for joint, _ in moves}
+    return slower_rig(name, folder, fps=15), folder / "motion.toml", {joint for joint, _ in moves}
 
 
 @pytest.fixture(scope="module", params=[name for name in NAMES if name not in RUN_WHOLE_ELSEWHERE])
@@ -75,7 +74,7 @@ def compared(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFa
     folder = tmp_path_factory.mktemp(request.param)
     rig, motion, moved = piece(request.param, folder)
     out = folder / "session"
-    capturing.capture(str(rig), str(motion), out)
+    capturing.capture(rig, str(motion), out)
     fitting.fit(out)
     return reporting.compare(out), moved
 

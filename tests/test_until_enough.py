@@ -21,6 +21,7 @@ from station.recording import Recording
 from station.recording.sizes import expected_rates
 from station.rig import load_rig
 from station.session import MOTION_FILE, NEXT_MOTION_FILE, read_status
+from tests.sessions import slower_rig
 
 # The elbow moves by 2 deg: too little for a fit to tell it from a fixed joint.
 SHY_ELBOW = """schema = "motion/1"
@@ -68,10 +69,10 @@ def found(session: Path) -> set[str]:
 def test_a_joint_that_moved_too_little_is_moved_on_and_then_found(tmp_path: Path):
     totals: list[float] = []
     motion, out = motion_file(tmp_path, SHY_ELBOW), tmp_path / "s"
-    planned = planning.plan("demo", motion)
-    capturing.capture("demo", motion, tmp_path / "short")
+    rig, planned = slower_rig("demo", tmp_path), planning.plan("demo", motion)
+    capturing.capture(rig, motion, tmp_path / "short")
     assert "elbow" not in found(tmp_path / "short")
-    capturing.capture("demo", motion, out, until_enough=3, progress=lambda done_s, total_s: totals.append(total_s))
+    capturing.capture(rig, motion, out, until_enough=3, progress=lambda done_s, total_s: totals.append(total_s))
     assert "elbow" in found(out)
     (told,) = said(out, "INFO", "further motion, round")
     assert "elbow" in told and "%" in told and "wrist" not in told
@@ -95,7 +96,7 @@ def stopped_in_further_motion(folder: Path) -> Path:
         if done_s > planned_s + 3.0:
             control.stop()
 
-    capturing.capture("demo", motion, out, until_enough=1, seed=1, control=control, progress=stop)
+    capturing.capture(slower_rig("demo", folder), motion, out, until_enough=1, seed=1, control=control, progress=stop)
     return out
 
 
@@ -122,7 +123,7 @@ def test_a_session_that_was_lengthened_goes_on_in_its_further_motion(tmp_path: P
 def test_what_still_lacks_at_the_end_is_a_warning(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr("station.capture.crew.MotionTally.shares", lambda self: {"elbow": 0.25, "wrist": 1.0})
     out = tmp_path / "s"
-    capturing.capture("demo", motion_file(tmp_path, ONLY_ELBOW), out, until_enough=1)
+    capturing.capture(slower_rig("demo", tmp_path), motion_file(tmp_path, ONLY_ELBOW), out, until_enough=1)
     (warning,) = said(out, "WARN", "not enough motion")
     assert "elbow 25 %" in warning and "wrist" not in warning and "1 further round" in warning
     assert read_status(out).state == "complete"
@@ -251,9 +252,8 @@ def test_a_motion_that_was_paused_in_a_curve_is_lengthened_from_its_true_end(tmp
         if shot.state == "paused":
             control.resume()
 
-    capturing.capture(
-        "demo", motion_file(tmp_path, text), out, until_enough=1, control=control, progress=pause, watch=go_on
-    )
+    rig, motion = slower_rig("demo", tmp_path), motion_file(tmp_path, text)
+    capturing.capture(rig, motion, out, until_enough=1, control=control, progress=pause, watch=go_on)
     events = Recording.load(out).events
     begins = next(event for event in events if "further motion, round" in event.text)
     done = next(event for event in events if event.text == "motion done")

@@ -10,7 +10,7 @@ import pytest
 from station.fit.bodies import bodies_of_log, pair_tracks, with_reference
 from station.fit.comparison import fit_types
 from station.fit.evidence import evidence
-from station.fit.learner import learn
+from station.fit.learner import Fit, learn_all
 from station.fit.selection import score_fits
 from station.logs import PoseLog
 from tests.benchmarks.made_joints import single_joint, watch
@@ -32,9 +32,10 @@ def small_motion(trial: int) -> tuple[str, PoseLog]:
 def stated_and_right() -> tuple[np.ndarray, np.ndarray]:
     """Of the joints that were reported: probability of the type given, and whether that is right."""
     found: list[tuple[float, bool]] = []
-    for trial in range(TRIALS):
-        kind, log = small_motion(trial)
-        for joint in learn(log).tree.joints:
+    kinds, logs = zip(*(small_motion(trial) for trial in range(TRIALS)), strict=True)
+    for kind, fit in zip(kinds, learn_all(logs), strict=True):
+        assert isinstance(fit, Fit)
+        for joint in fit.tree.joints:
             assert joint.probability is not None
             found.append((joint.probability[joint.type], joint.type == kind))
     stated, right = np.array(found).T

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from station.fit.image.corner_data import CornerData
 from station.fit.image.image_fit import ImageFit
+from station.fit.image.misfits import ALIKE, FAR_OFF, LEFT_OUT, MISFIT
 from station.fit.image.two_answers import APART, Others
 from station.fit.image.views import COORDINATES
 from station.fit.noise import INLIER_ABOVE
@@ -18,8 +21,6 @@ BoolArray = NDArray[np.bool_]
 
 # Share of clean sessions in which chance alone makes some sighting, or some frame, one that is not explained.
 FALSE_ALARMS = 0.005
-# A marker whose deviations are so many times those stated, and those of most others, is not where the tree has it.
-MISFIT = 2.0
 
 
 def unexplained(data: CornerData, chi2: FloatArray) -> BoolArray:
@@ -65,13 +66,35 @@ def remarks_on_corners(image: ImageFit) -> list[str]:
 
 
 def _misfits(image: ImageFit) -> list[str]:
-    views, usual = image.views, float(np.median(image.scale)) if len(image.scale) else 1.0
+    alike = image.alike > ALIKE
     return [
-        f"the corners of marker {views.marker_id[m]} ({views.parts[views.part[m]]}) are {scale:.1f} times as far off "
-        "as they should be: its joint may be a wrong one, or its part bends or slips"
-        for m, scale in enumerate(image.scale)
-        if scale > MISFIT * max(usual, 1.0)
+        *_far_off(
+            image,
+            image.misfit & alike & (image.scale > FAR_OFF),
+            "and alike from frame to frame: the tree may be wrong there, and states of its joints with it; or a part "
+            "bends or slips, or corners err alike, by more than stated",
+        ),
+        *_far_off(
+            image,
+            image.misfit & ~alike & (image.scale > MISFIT),
+            "in each frame otherwise: there is more noise than stated; or a joint is a wrong one, and its states with "
+            "it, or a part bends or slips",
+        ),
     ]
+
+
+def _far_off(image: ImageFit, which: BoolArray, why: str) -> list[str]:
+    markers = np.flatnonzero(which).tolist()
+    if not markers:
+        return []
+    times = ", ".join(f"{image.scale[m]:.1f}" for m in markers)
+    return [f"the corners of {_named(image, markers)} are {times} times as far off as they should be, {why}"]
+
+
+def _named(image: ImageFit, markers: Sequence[int]) -> str:
+    views = image.views
+    names = ", ".join(f"{views.marker_id[m]} ({views.parts[views.part[m]]})" for m in markers)
+    return f"{'markers' if len(markers) > 1 else 'marker'} {names}"
 
 
 def _left_out(image: ImageFit) -> list[str]:
@@ -83,7 +106,14 @@ def _left_out(image: ImageFit) -> list[str]:
     told = [f"{n} of marker {views.marker_id[m]} ({views.parts[views.part[m]]})" for m, n in counts.items() if n]
     first_s, count = float(views.t_s[views.frame[out]].min()), int(out.sum())
     fit = "fits the tree nowhere and is" if count == 1 else "fit the tree nowhere and are"
-    return [f"{count} of {len(out)} sightings {fit} left out, from t = {first_s:.1f} s: {', '.join(told)}"]
+    found = [f"{count} of {len(out)} sightings {fit} left out, from t = {first_s:.1f} s: {', '.join(told)}"]
+    many = [m for m, n in counts.items() if image.misfit[m] and n > LEFT_OUT * np.sum(views.marker == m)]
+    if many:
+        found.append(
+            f"so many are left out of {_named(image, many)} that the tree may be wrong there, and states of its joints "
+            "with it"
+        )
+    return found
 
 
 def _two_answers(image: ImageFit) -> list[str]:

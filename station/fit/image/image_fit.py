@@ -29,6 +29,8 @@ class ImageFit:
         inlier: (N,) probability that a sighting is no outlier.
         scale: (M,) deviations that the markers' corners turned out to have, as multiples of those stated.
         doubtful: (N,) sightings that the tree doesn't explain, or that another answer explains as well.
+        alike: (M,) correlation of each marker's errors in neighbouring frames.
+        misfit: (M,) markers that the tree as a whole doesn't explain.
         two_answers: (T, K) parts that may be elsewhere, as corners tell the frame in two ways; the deviations of states
             have that in them.
     """
@@ -42,7 +44,14 @@ class ImageFit:
     inlier: FloatArray
     scale: FloatArray
     doubtful: BoolArray
+    alike: FloatArray
+    misfit: BoolArray
     two_answers: BoolArray
+
+    @property
+    def in_doubt(self) -> BoolArray:
+        """(N,) sightings that are doubtful, or whose marker as a whole is."""
+        return self.doubtful | self.misfit[self.views.marker]
 
 
 def joined(fits: Sequence[ImageFit]) -> ImageFit:
@@ -65,6 +74,8 @@ def joined(fits: Sequence[ImageFit]) -> ImageFit:
         inlier=np.concatenate([fit.inlier for fit in fits])[order],
         scale=np.concatenate([fit.scale for fit in fits]),
         doubtful=np.concatenate([fit.doubtful for fit in fits])[order],
+        alike=np.concatenate([fit.alike for fit in fits]),
+        misfit=np.concatenate([fit.misfit for fit in fits]),
         two_answers=np.concatenate([fit.two_answers for fit in fits], axis=1),
     )
 

@@ -19,6 +19,7 @@ from station.fit.image.corner_noise import scales_of
 from station.fit.image.doubts import parts_elsewhere, unexplained, with_other_answers
 from station.fit.image.image_fit import ImageFit
 from station.fit.image.likely_states import Told, is_odd, mended, with_likely_states
+from station.fit.image.misfits import misfits
 from station.fit.image.repeated_errors import shared_covariance
 from station.fit.image.two_answers import Others, other_answers
 from station.fit.image.views import COORDINATES, Views
@@ -146,6 +147,7 @@ def _told(problem: Problem[CornerData], solution: Solution, others: Others) -> R
     two = parts_elsewhere(skeleton, others, len(inlier))
     fit = TreeFit(model, covariance[own, own], states, _of_parts(data, inlier), _spread(data))
     variances = np.diagonal(covariance)[skeleton.shared_columns]
+    misfit, alike = misfits(data, residual_px, inlier)
     at = data.views.frame, data.views.marker
     image = ImageFit(
         views=data.views,
@@ -157,6 +159,8 @@ def _told(problem: Problem[CornerData], solution: Solution, others: Others) -> R
         inlier=inlier[at],
         scale=data.scale,
         doubtful=unexplained(data, solution.chi2)[at] | two[:, data.part][at],
+        alike=alike,
+        misfit=misfit,
         two_answers=two,
     )
     return Refined(fit, image, at_rest(problem, solution, covariance, states))

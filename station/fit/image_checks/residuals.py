@@ -115,7 +115,7 @@ def checked_residuals(tree: KinematicTree, image: ImageFit) -> Residuals:
         sigma_px=np.sqrt(variance) * image.scale[views.marker],
         chi2=image.chi2,
         inlier=image.inlier,
-        doubtful=image.doubtful,
+        doubtful=image.in_doubt,
         size_px=views.camera.size_px,
         checks=checks,
     )

@@ -180,7 +180,7 @@ def _corners(watched: Watched, fit: Fit) -> tuple[BoolArray, BoolArray]:
     true = watched.views.covariance_px2[rows] / watched.seeing.stated**2
     square = np.einsum("ni,nij,nj->n", off, np.linalg.inv(true), off)
     far = (square > FAR_SIGMAS**2 * off.shape[-1]) & ~watched.outlier[rows]
-    doubtful = np.asarray(fit.image.doubtful, dtype=bool)
+    doubtful = np.asarray(fit.image.in_doubt, dtype=bool)
     return np.isin(frames, views.frame[far]), np.isin(frames, views.frame[doubtful])
 
 

@@ -172,6 +172,8 @@ def _fit_at_the_truth(session: Session, views: Views, T_ref_part: FloatArray) ->
         inlier=np.ones(len(views)),
         scale=np.full(len(views.marker_id), 1.0 / session.stated),
         doubtful=np.zeros(len(views), dtype=bool),
+        alike=np.zeros(len(views.marker_id)),
+        misfit=np.zeros(len(views.marker_id), dtype=bool),
         two_answers=np.zeros(T_ref_part.shape[:2], dtype=bool),
     )
 
