@@ -18,11 +18,11 @@ from station.fit.asking import Asking
 from station.fit.image.corner_data import CONSTANT, costs_of_squares
 from station.fit.image.image_fit import ImageFit
 from station.fit.image.pose_choices import two_poses
+from station.fit.image.simpler import explains_as_well
 from station.fit.image.two_answers import UNDECIDED
 from station.fit.image.views import COORDINATES, Views
 from station.fit.noise import INLIER_ABOVE
 from station.fit.result import Fit
-from station.kinematics.tree import KinematicTree
 from station.logs import PoseLog
 
 # Doubtful is a tree that leaves out more of a marker's sightings, or has its corners so many deviations of chance
@@ -40,10 +40,22 @@ OF_A_JOINT, OF_A_POSE = 9, 6
 
 @dataclass(frozen=True, eq=False)
 class _Look:
-    """A fit, and its -2 log likelihood by the corners, with what its numbers would explain by chance."""
+    """A fit, the numbers that it has, and its -2 log likelihood by the corners and twice these (Akaike, 1974)."""
 
     fit: Fit
+    numbers: float
     cost: float
+
+    @staticmethod
+    def of(fit: Fit, log: PoseLog, views: Views) -> _Look:
+        """At a fit of the parts of a log from some views."""
+        numbers, square = numbers_of(fit, log, views), square_of(fit, log, views)
+        return _Look(fit, numbers, square + 2 * numbers)
+
+    def is_likelier(self, than: _Look) -> bool:
+        """Whether it is to be preferred: not for motion that errors which repeat would make, too."""
+        needless = self.numbers > than.numbers and explains_as_well(than.fit.image, self.fit.image)
+        return self.cost < than.cost - CLEARER and not needless
 
 
 def looked_again(fit: Fit, log: PoseLog, views: Views, learned: Callable[[PoseLog], Asking[Fit]]) -> Asking[Fit]:
@@ -60,7 +72,7 @@ def looked_again(fit: Fit, log: PoseLog, views: Views, learned: Callable[[PoseLo
     poses = two_poses(log, views)
     if poses.share < OTHERWISE:
         return fit
-    best = _Look(fit, cost_of(fit, log, views))
+    best = _Look.of(fit, log, views)
     looks = [best]
     others = [poses.likelier, poses.between, poses.wider]
     others += [] if fit.image is None else [partial(poses.as_told, fit.image, _in_doubt(fit.image))]
@@ -79,14 +91,13 @@ def _look(other: PoseLog, log: PoseLog, views: Views, learned: Callable[[PoseLog
         fit = yield from learned(other)
     except InvalidData:  # from these poses nothing can be learned
         return []
-    return [_Look(fit, cost_of(fit, log, views))]
+    return [_Look.of(fit, log, views)]
 
 
 def _likeliest(looks: Sequence[_Look]) -> _Look:
-    """The first of the likeliest: another has to be likelier by more than nothing."""
     best = looks[0]
     for look in looks[1:]:
-        best = look if look.cost < best.cost - CLEARER else best
+        best = look if look.is_likelier(best) else best
     return best
 
 
@@ -106,44 +117,44 @@ def _in_doubt(image: ImageFit) -> frozenset[str]:
     return frozenset(image.views.parts[k] for k in parts)
 
 
-def cost_of(fit: Fit, log: PoseLog, views: Views) -> float:
-    """-2 log likelihood of all corners by a fit, and twice the numbers that it has (Akaike, 1974).
+def square_of(fit: Fit, log: PoseLog, views: Views) -> float:
+    """-2 log likelihood of all corners by a fit, but for a constant.
 
-    A body that nothing connects has a pose in each frame, and its corners are as far off as chance has them then.
+    Those of a body that nothing connects are as far off as chance has them, whose poses are told frame by frame.
     """
-    image = fit.image
-    if image is None:
-        return _unconnected(log, views, set(), 1.0)
-    sightings = np.bincount(image.views.marker, minlength=len(image.scale))
-    cost = float(np.sum(costs_of_squares(image.chi2)) + 2 * COORDINATES * np.sum(sightings * np.log(image.scale)))
-    return (
-        cost
-        + 2 * _numbers(fit.tree, fit, image)
-        + _unconnected(log, views, set(image.views.parts), float(np.median(image.scale)))
-    )
+    image, found, scale = fit.image, 0.0, 1.0
+    if image is not None:
+        sightings, scale = np.bincount(image.views.marker, minlength=len(image.scale)), float(np.median(image.scale))
+        found = float(np.sum(costs_of_squares(image.chi2)) + 2 * COORDINATES * np.sum(sightings * np.log(image.scale)))
+    sightings, poses = _unconnected(fit, log, views)
+    return found + sightings * (COORDINATES + CONSTANT + 2 * COORDINATES * float(np.log(scale))) - OF_A_POSE * poses
 
 
-def _numbers(tree: KinematicTree, fit: Fit, image: ImageFit) -> float:
-    """That were fitted: states, poses of roots that move, what all frames share."""
-    found = float(np.isfinite(fit.states.q).sum()) + OF_A_JOINT * len(tree.joints) + OF_A_POSE * len(tree.mounts)
-    for bodies in tree.trees:
-        column = next((image.views.parts.index(body) for body in bodies if body in image.views.parts), None)
-        if column is None:
-            continue
-        T = image.T_ref_part[:, column]
-        known = T[np.isfinite(T).all(axis=(-2, -1))]
-        moves = len(known) and np.ptp(known, axis=0).max() > 0
-        found += OF_A_POSE * (len(known) if moves else 1)
-    return found
+def numbers_of(fit: Fit, log: PoseLog, views: Views) -> float:
+    """That were fitted: states, poses of roots that move and of bodies that nothing connects, what all frames share."""
+    _, poses = _unconnected(fit, log, views)
+    poses += 0 if fit.image is None else sum(_root_poses(bodies, fit.image) for bodies in fit.tree.trees)
+    of_states = float(np.isfinite(fit.states.q).sum())
+    return of_states + OF_A_JOINT * len(fit.tree.joints) + OF_A_POSE * (len(fit.tree.mounts) + poses)
 
 
-def _unconnected(log: PoseLog, views: Views, connected: set[str], scale: float) -> float:
-    """What corners of parts without a tree cost, with deviations so many times those stated."""
+def _root_poses(bodies: Sequence[str], image: ImageFit) -> int:
+    """Poses that a tree's root has: one if it stands still."""
+    column = next((image.views.parts.index(body) for body in bodies if body in image.views.parts), None)
+    if column is None:
+        return 0
+    T = image.T_ref_part[:, column]
+    known = T[np.isfinite(T).all(axis=(-2, -1))]
+    return len(known) if len(known) and np.ptp(known, axis=0).max() > 0 else 1
+
+
+def _unconnected(fit: Fit, log: PoseLog, views: Views) -> tuple[int, int]:
+    """Sightings of parts that no tree connects, and in how many frames these were seen, all together."""
+    connected = () if fit.image is None else fit.image.views.parts
     alone = [k for k, part in enumerate(views.parts) if part in log.parts and part not in connected]
     rows = np.isin(views.part[views.marker], alone)
     poses = len(np.unique(views.frame[rows] * len(views.parts) + views.part[views.marker[rows]]))
-    sighting = COORDINATES + CONSTANT + 2 * COORDINATES * np.log(scale)
-    return float(rows.sum() * sighting - OF_A_POSE * poses + 2 * OF_A_POSE * poses)  # what poses explain, and have
+    return int(rows.sum()), poses
 
 
 def _told(looks: Sequence[_Look]) -> Fit:

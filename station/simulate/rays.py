@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 
-from station.logs import FloatArray
+from station.logs import FloatArray, frozen_floats
 from station.simulate.scene import CameraOptics
 
 # Offsets (du, dv) in px of the four samples of a pixel, [row][column]: a rotated grid, so that edges along rows or
@@ -67,15 +69,24 @@ def undistorted(u: FloatArray, v: FloatArray, distortion: FloatArray) -> tuple[F
 
 
 def sample_rays(optics: CameraOptics) -> tuple[FloatArray, FloatArray]:
-    """Undistorted directions x / z and y / z, each (2H, 2W), of the 2x2 samples of every pixel; NaN where none."""
-    width, height = optics.size_px
+    """Undistorted directions x / z and y / z, each (2H, 2W), of the 2x2 samples of every pixel; NaN where none.
+
+    Those of the last lens are kept, read-only: a program often opens the same camera again.
+    """
+    return _sample_rays(optics.size_px, optics.matrix.tobytes(), optics.distortion.tobytes())
+
+
+@lru_cache(maxsize=1)
+def _sample_rays(size_px: tuple[int, int], matrix: bytes, lens: bytes) -> tuple[FloatArray, FloatArray]:
+    width, height = size_px
+    distortion = np.frombuffer(lens)
     columns, rows = np.arange(2 * width), np.arange(2 * height)
     offsets = SAMPLES_PX[rows[:, None] % 2, columns[None, :] % 2]
-    (fx, _, cx), (_, fy, cy), _ = optics.matrix
+    (fx, _, cx), (_, fy, cy), _ = np.frombuffer(matrix).reshape(3, 3)
     u = (columns[None, :] // 2 + offsets[..., 0] - cx) / fx
     v = (rows[:, None] // 2 + offsets[..., 1] - cy) / fy
     x, y = np.empty(u.size), np.empty(u.size)
     for start in range(0, u.size, CHUNK):  # chunks fit the cache; the whole image at once takes three times as long
         part = slice(start, start + CHUNK)
-        x[part], y[part] = undistorted(u.reshape(-1)[part], v.reshape(-1)[part], optics.distortion)
-    return x.reshape(u.shape), y.reshape(u.shape)
+        x[part], y[part] = undistorted(u.reshape(-1)[part], v.reshape(-1)[part], distortion)
+    return frozen_floats(x.reshape(u.shape)), frozen_floats(y.reshape(u.shape))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -9,11 +11,11 @@ import pytest
 
 from station.builder.draft import Draft, blank
 from station.builder.edits import add_part, set_limits, set_type
-from station.builder.marking import add_marker, mark_all, set_block
+from station.builder.marking import add_marker, set_block
 from station.builder.placing import set_axis, set_zero
 from station.builder.rig_text import Table, servo_tables, written
 from station.builder.rig_truth import tracked_tree
-from station.builder.rigs import to_rig, write_rig
+from station.builder.rigs import DrawnRig, to_rig, write_rig
 from station.errors import InvalidData, InvalidFile
 from station.formats.rig import RigTable, parse_rig
 from station.hand_motion import free_joints, hand_motion
@@ -46,10 +48,16 @@ def rig_of(draft: Draft, *, servos: bool = True) -> RigTable:
     return parse_rig(to_rig(draft, servos=servos).text, "rig.toml")
 
 
+@cache
+def rig_as_drawn(draw: Callable[[], Draft], *, servos: bool = True) -> DrawnRig:
+    """Of a draft that is taken as it is: many claims are about the same, and placing its markers takes a second."""
+    return to_rig(draw(), servos=servos)
+
+
 @pytest.mark.parametrize("draw", [swivel_chair, drawer_cabinet, askew])
 def test_the_simulation_moves_as_the_drawn_tree(draw):
     draft = draw()
-    simulation = rig_of(draft).simulation
+    simulation = parse_rig(rig_as_drawn(draw).text, "rig.toml").simulation
     assert simulation is not None
     true = mechanism(simulation)
     rng = np.random.default_rng(0)
@@ -113,7 +121,7 @@ def test_a_rig_without_servos_is_moved_by_hand_within_the_drawn_limits():
 
 @pytest.mark.parametrize("draw", [swivel_chair, drawer_cabinet])
 def test_every_part_of_a_drawn_object_is_seen_in_most_poses(draw):
-    rig = to_rig(draw())
+    rig = rig_as_drawn(draw)
     assert rig.remarks == ()
     assert min(rig.view.seen_share.values()) > 0.6
     assert len(rig.draft.markers) == 2 * len(rig.draft.parts)
@@ -137,7 +145,7 @@ def test_each_marker_is_a_part_of_its_own_under_a_name_that_is_free():
 
 
 def test_the_tree_that_a_fit_should_find_moves_the_markers_as_the_draft_does():
-    draft = mark_all(askew())
+    draft = rig_as_drawn(askew).draft
     tree = tracked_tree(draft)
     rng = np.random.default_rng(1)
     q = {joint.name: rng.uniform(*joint.limits) for joint in draft.tree.movable}
@@ -184,7 +192,7 @@ def test_a_rig_is_written_once_and_only_for_a_tree_that_is_there(tmp_path: Path)
     ],
 )
 def test_simulated_joints_that_can_not_be_are_refused(old: str, new: str, said: str):
-    text = to_rig(drawer_cabinet(), servos=False).text
+    text = rig_as_drawn(drawer_cabinet, servos=False).text
     assert old in text
     with pytest.raises(InvalidFile, match=said):
         parse_rig(text.replace(old, new), "rig.toml")

@@ -135,7 +135,7 @@ def detector_noise(sums: Sums, what: str, profile: FloatArray) -> float:
 def step_effect(sums: Sums, what: str) -> Effect:
     """The likeliest change from some time on."""
     c, root = sums.columns[what], taken_out(sums.PP)
-    A, B, g = (_from_on(x) for x in (sums.DD[:, c, c], sums.DP[:, c], sums.Dr[:, c]))
+    A, B, g = (_from_on(x) for x in (sums.DD[:, c, c], sums.by_fit(what), sums.Dr[:, c]))
     informative = np.einsum("tii->t", sums.DD[:, c, c]) > 0
     before = np.cumsum(informative) - informative
     allowed = informative & (before >= LEAST_TICKS) & (informative.sum() - before >= LEAST_TICKS)
@@ -159,7 +159,7 @@ def constant_effect(sums: Sums, what: str, profile: FloatArray) -> Effect:
     """A change by a given profile (n,) over time: all ones for what is always so."""
     c, root = sums.columns[what], taken_out(sums.PP)
     A = np.einsum("t,tij->ij", profile**2, sums.DD[:, c, c])
-    B, g = np.einsum("t,tij->ij", profile, sums.DP[:, c]), np.einsum("t,ti->i", profile, sums.Dr[:, c])
+    B, g = np.einsum("t,tij->ij", profile, sums.by_fit(what)), np.einsum("t,ti->i", profile, sums.Dr[:, c])
     scan = _scan(A[None], B[None], g[None], root, sums.Pr)
     directions = int(scan.known.counts[0].sum())
     if not directions:
@@ -246,7 +246,7 @@ def noise_between_blocks(sums: Sums, what: str, profile: FloatArray) -> tuple[fl
     root = taken_out(allowed.PP)
     block = (np.arange(n) * min(BLOCKS, max(n // BLOCK_TICKS, 1))) // n
     first = np.flatnonzero(np.diff(block, prepend=-1))
-    A, E, g = (np.add.reduceat(x, first, axis=0) for x in (sums.DD[:, c, c], allowed.DP[:, c], sums.Dr[:, c]))
+    A, E, g = (np.add.reduceat(x, first, axis=0) for x in (sums.DD[:, c, c], allowed.by_fit(what), sums.Dr[:, c]))
     ER = E @ root
     left = g - ER @ (root.T @ allowed.Pr)
     inverse = _known(A, 1e-9).pseudo_inverse()

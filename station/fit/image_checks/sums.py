@@ -46,11 +46,12 @@ class Sums:
         start_s, end_s: (n,) times of a tick's first and last frame.
         tick: (T,) that each frame is in.
         DD: (n, D, D).
-        DP: (n, D, P).
+        DP: (n, D, p), by the first p of the P: those that the fit has by itself.
         Dr: (n, D) gradients of the fit to the residuals.
         detector: (n, M) variance of the detector's own errors of a coordinate, summed over a marker's sightings.
         PP: (P, P) over all ticks.
         Pr: (P,).
+        added: which of the D are among the P too, in this order, each with its profile (n,) over the ticks.
     """
 
     columns: Mapping[str, slice]
@@ -63,6 +64,13 @@ class Sums:
     detector: FloatArray
     PP: FloatArray
     Pr: FloatArray
+    added: tuple[tuple[slice, FloatArray], ...] = ()
+
+    def by_fit(self, what: str) -> FloatArray:
+        """(n, d, P) information about both one way to be wrong, of `columns`, and each thing that a fit does."""
+        c = self.columns[what]
+        by_added = [self.DD[:, c, other] * profile[:, None, None] for other, profile in self.added]
+        return np.concatenate([self.DP[:, c], *by_added], axis=-1)
 
     def allowing(self, what: str, profile: FloatArray, std: FloatArray | None = None, towards: float = 0.0) -> Sums:
         """The same with a fit that may also change something by a profile (n,) over time.
@@ -74,16 +82,15 @@ class Sums:
             towards: change that is expected then.
         """
         c = self.columns[what]
-        added = self.DD[:, :, c] * profile[:, None, None]
-        by_P = np.einsum("t,tdp->dp", profile, self.DP[:, c])
+        by_P = np.einsum("t,tdp->dp", profile, self.by_fit(what))
         known = np.zeros(c.stop - c.start) if std is None else 1.0 / std**2
         own = np.einsum("t,tde->de", profile**2, self.DD[:, c, c]) + np.diag(known)
         pull = np.einsum("t,td->d", profile, self.Dr[:, c]) + known * towards
         return replace(
             self,
-            DP=np.concatenate([self.DP, added], axis=-1),
             PP=np.block([[self.PP, by_P.T], [by_P, own]]),
             Pr=np.concatenate([self.Pr, pull]),
+            added=(*self.added, (c, profile)),
         )
 
 

@@ -175,7 +175,7 @@ def _corners(watched: Watched, fit: Fit) -> tuple[BoolArray, BoolArray]:
     frames = np.arange(len(watched.views.t_s))
     if fit.image is None:
         return frames < 0, frames < 0
-    views, rows = fit.image.views, _rows(watched, fit.image.views)
+    views, rows = fit.image.views, rows_of(watched, fit.image.views)
     off = fit.image.residual_px - watched.error_px[rows]  # measured less noise less model
     true = watched.views.covariance_px2[rows] / watched.seeing.stated**2
     square = np.einsum("ni,nij,nj->n", off, np.linalg.inv(true), off)
@@ -184,8 +184,8 @@ def _corners(watched: Watched, fit: Fit) -> tuple[BoolArray, BoolArray]:
     return np.isin(frames, views.frame[far]), np.isin(frames, views.frame[doubtful])
 
 
-def _rows(watched: Watched, views: Views) -> IntArray:
-    """Of each sighting of a fit's views that in what was watched."""
+def rows_of(watched: Watched, views: Views) -> IntArray:
+    """(N,) of each sighting of a fit's views: that in what was watched."""
     key, all_keys = (x.marker_id[x.marker] + 1000 * x.frame for x in (views, watched.views))
     order = np.argsort(all_keys)
     return order[np.searchsorted(all_keys, key, sorter=order)]

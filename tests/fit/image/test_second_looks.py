@@ -13,7 +13,7 @@ from station.fit.image.pose_choices import two_poses
 from station.fit.learner import learn
 from station.fit.options import FitOptions
 from station.fit.result import Fit
-from station.fit.second_looks import cost_of, is_doubtful, looked_again
+from station.fit.second_looks import is_doubtful, looked_again, numbers_of, square_of
 from station.kinematics import se3
 from station.logs import FloatArray, PoseLog
 from station.tree_scores import score_tree
@@ -62,7 +62,10 @@ def test_of_two_trees_the_likelier_is_kept_and_one_that_is_as_likely_is_told() -
     assert right.image is not None
     alone = tuple((part,) for part in right.tree.parts)
     free = replace(right, tree=replace(right.tree, trees=alone, joints=()), image=None)
-    assert cost_of(right, seen.poses, seen.views) < cost_of(free, seen.poses, seen.views)
+    of_right, of_free = ([f(fit, seen.poses, seen.views) for f in (square_of, numbers_of)] for fit in (right, free))
+    assert of_right[0] > of_free[0]  # more freedom explains more
+    assert of_right[1] < of_free[1]
+    assert of_right[0] + of_right[1] < of_free[0] + of_free[1]  # but no more than chance has it
     assert without_questions(free, seen, right) is right
     assert without_questions(right, seen, free) is right  # nothing in doubt, nothing asked
     doubted = replace(right, image=replace(right.image, inlier=np.zeros(len(right.image.inlier))))
