@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import shutil
+import tempfile
+from functools import cache
 from pathlib import Path
 
 from station.capture.counts import CaptureCounts
@@ -51,3 +54,16 @@ def capture_short(folder: Path, *, seed: int = 0, rig: str = "demo") -> tuple[Pa
     """A short session in `folder`/session, and its counts."""
     out = folder / "session"
     return out, capturing.capture(rig, write_motion(folder), out, seed=seed)
+
+
+def copy_of_short(folder: Path) -> Path:
+    """A short session in `folder`/session, for claims about what is made of it: it is captured once for all tests of
+    a program."""
+    return Path(shutil.copytree(Path(_captured_once().name) / "session", folder / "session"))
+
+
+@cache
+def _captured_once() -> tempfile.TemporaryDirectory[str]:
+    folder = tempfile.TemporaryDirectory(prefix="short-session-")
+    capture_short(Path(folder.name))
+    return folder

@@ -38,6 +38,7 @@ class Terminal:
 
     def __init__(self, arguments: Sequence[str], *, size: tuple[int, int] = (24, 80)) -> None:
         self._screen = pyte.Screen(size[1], size[0])
+        self._seen: str | None = None  # what is on the screen, until more comes
         self._stream = pyte.ByteStream(self._screen)
         self._fd, theirs = pty.openpty()
         fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", *size, 0, 0))
@@ -84,7 +85,10 @@ class Terminal:
             came = os.read(self._fd, 65536)
             self.shown += came.decode("utf-8", "replace")
             self._stream.feed(came)
-        return "\n".join(line.rstrip() for line in self._screen.display).rstrip()
+            self._seen = None
+        if self._seen is None:  # looked at a hundred times a second, and drawn five times
+            self._seen = "\n".join(line.rstrip() for line in self._screen.display).rstrip()
+        return self._seen
 
     def press(self, keys: str) -> None:
         """Press keys."""

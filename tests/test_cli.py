@@ -21,7 +21,7 @@ from station.logs import PoseLog
 from station.recording import Recording
 from station.rig_reading import packaged
 from station.session import read_status
-from tests.sessions import SHORT, capture_short, write_motion
+from tests.sessions import SHORT, copy_of_short, write_motion
 
 # Bytes of a recording that holds frames for certain.
 SOME_FRAMES = 300_000
@@ -44,7 +44,7 @@ COMMANDS = (
 
 @pytest.fixture(scope="module")
 def short(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return capture_short(tmp_path_factory.mktemp("cli"))[0]
+    return copy_of_short(tmp_path_factory.mktemp("cli"))
 
 
 @pytest.fixture

@@ -16,7 +16,7 @@ from station.foresight.forecast import foresee
 from station.rig import load_rig
 from station.rig_reading import packaged
 from station.stage import Stage
-from tests.sessions import capture_short, write_motion
+from tests.sessions import copy_of_short, write_motion
 
 
 def undrawn(folder: Path) -> str:
@@ -63,7 +63,7 @@ def test_an_exposure_that_nobody_told_is_assumed_aloud():
 
 @pytest.fixture(scope="module")
 def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder, _ = capture_short(tmp_path_factory.mktemp("foreseen"))
+    folder = copy_of_short(tmp_path_factory.mktemp("foreseen"))
     fitting.fit(folder)
     return folder
 

@@ -9,14 +9,14 @@ import pytest
 
 from station.commands import exports, fitting
 from station.recording import Recording
-from tests.sessions import capture_short
+from tests.sessions import copy_of_short
 
 FEW = 300
 
 
 @pytest.fixture(scope="module")
 def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return capture_short(tmp_path_factory.mktemp("long"))[0]
+    return copy_of_short(tmp_path_factory.mktemp("long"))
 
 
 def test_of_a_long_session_frames_are_left_out_evenly_and_it_is_said(

@@ -17,14 +17,14 @@ from station.errors import StationError
 from station.fit.options import FitOptions
 from station.fit_files import TREE_FILE, read_fit
 from station.quadrilaterals import shift_edges
-from tests.sessions import capture_short
+from tests.sessions import copy_of_short
 
 SHIFT_PX = 0.08
 
 
 @pytest.fixture(scope="module")
 def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return capture_short(tmp_path_factory.mktemp("refined"))[0]
+    return copy_of_short(tmp_path_factory.mktemp("refined"))
 
 
 def rmse_rad(session: Path, fit: fitting.FitResult) -> float:

@@ -22,7 +22,7 @@ from station.kinematics.tree_json import to_json
 from station.recording import Recording
 from station.rig_reading import read_rig
 from station.seen_columns import seen_columns
-from tests.sessions import capture_short, write_motion
+from tests.sessions import copy_of_short, write_motion
 from tests.test_hand_capture import DOOR
 from tests.test_live_view import PATIENCE_S, MadeScreen
 
@@ -33,7 +33,7 @@ NEAR_RAD = np.deg2rad(0.3)
 @pytest.fixture(scope="module")
 def fitted(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A fitted session of the demo rig."""
-    session, _ = capture_short(tmp_path_factory.mktemp("fitted"))
+    session = copy_of_short(tmp_path_factory.mktemp("fitted"))
     fitting.fit(session)
     return session
 

@@ -12,6 +12,7 @@ from station.fit.asking import Asking
 from station.fit.bodies import Group
 from station.fit.image.doubts import remarks_on_corners
 from station.fit.image.image_fit import joined
+from station.fit.image.type_choice import SIMPLER
 from station.fit.image.views import Views
 from station.fit.options import FitOptions
 from station.fit.reading import JointReading
@@ -97,12 +98,20 @@ def _rigid_groups(groups: Sequence[Group], names: Sequence[str], *, include: boo
 
 
 def _scored(joint: Joint, scores: Scores, pair: int, options: FitOptions) -> Joint:
-    """The joint with the scores of all criteria, and the probabilities of all candidates."""
+    """The joint with the scores of all criteria, and the probabilities of all candidates, by poses.
+
+    Where corners say of the likeliest type that this one, a case of it, does as well, such types are none of them.
+    """
+    probability = scores.probabilities(pair, free=options.free)
+    if joint.type in SIMPLER.get(scores.best_type(pair), ()):
+        left = {name: p for name, p in probability.items() if joint.type not in SIMPLER.get(name, ())}
+        total = sum(left.values())
+        probability = {name: p / total if total > 0 else float(name == joint.type) for name, p in left.items()}
     return replace(
         joint,
         scores={"criterion": scores.criterion, **scores.told(pair, scores.criterion, free=options.free)},
         criteria={name: scores.told(pair, name, free=options.free) for name in CRITERIA},
-        probability=scores.probabilities(pair, free=options.free),
+        probability=probability,
     )
 
 

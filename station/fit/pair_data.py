@@ -50,6 +50,18 @@ class PairData:
             self.scene_m[rows],
         )
 
+    def frames(self, rows: IntArray, frames: IntArray) -> PairData:
+        """Some frames (N,) of some pairs (N,), each as a pair of its own."""
+        return PairData(
+            self.R[:, :, rows, frames, None],
+            self.t[:, rows, frames, None],
+            self.seen[rows, frames, None],
+            self.oriented[rows, frames, None],
+            self.noise.frames(rows, frames),
+            self.log_outlier[rows, frames, None],
+            self.scene_m[rows],
+        )
+
 
 def pair_data(
     T_a_b: FloatArray, seen: BoolArray, oriented: BoolArray, noise: Noise, log_outlier: FloatArray, scene_m: FloatArray

@@ -41,6 +41,11 @@ class Likelihood:
     oriented: FloatArray
 
     @property
+    def costs(self) -> FloatArray:
+        """(P, T) -2 log likelihood of each frame."""
+        return -2 * self.log_total
+
+    @property
     def cost(self) -> FloatArray:
         """(P,) -2 log likelihood."""
         return -2 * self.log_total.sum(axis=-1)

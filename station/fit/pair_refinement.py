@@ -20,6 +20,7 @@ from station.fit.whitening import Projected, Whitening
 from station.kinematics.joints import JointType
 from station.logs import FloatArray
 
+BoolArray = NDArray[np.bool_]
 IntArray = NDArray[np.intp]
 
 LM_ITERATIONS = 30
@@ -27,6 +28,14 @@ LM_ITERATIONS = 30
 # deviation.
 COST_TOLERANCE = 1e-2
 DAMPING_START, DAMPING_FALL, DAMPING_RISE, DAMPING_MIN, DAMPING_MAX = 1e-3, 0.2, 8.0, 1e-9, 1e8
+# A pair is settled, too, when so many times what two steps on end changed is less; its steps may go on to promise more:
+# a single frame whose state finds no rest is enough. A step that failed has changed nothing, and counts once the
+# damping leaves of it no more than the states' own.
+STILL_TO_COME, ALL_DAMPED = 2.0, 1.0
+# A frame that a step makes dearer by more, in -2 log likelihood, is tried with such a share of its state's step.
+DEARER, SHORTER = 0.1, 0.5
+# Share of a step of the noise's scales that is taken if it goes back.
+BACK = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,14 +46,18 @@ class Progress:
         model: P of them.
         damping: (P,) of the next step.
         cost: (P,) -2 log likelihood.
-        promise: (P,) by how much the last step promised to lower it.
+        fall: (P,) by how much the last step changed it.
+        promise: (P,) by how much further steps can be hoped to lower it.
+        scales_step: (P, S) logarithm of the factor by which the last step changed the noise's scales.
         log_open: (P,) logarithm of the share of the states' range that a frame leaves open.
     """
 
     model: Model
     damping: FloatArray
     cost: FloatArray
+    fall: FloatArray
     promise: FloatArray
+    scales_step: FloatArray
     log_open: FloatArray
 
     def take(self, rows: IntArray) -> Progress:
@@ -60,13 +73,13 @@ class Progress:
 
     @property
     def _arrays(self) -> tuple[FloatArray, ...]:
-        return self.damping, self.cost, self.promise, self.log_open
+        return self.damping, self.cost, self.fall, self.promise, self.scales_step, self.log_open
 
 
 def begin(model: Model) -> Progress:
     """Before the first step."""
-    P = len(model.q)
-    return Progress(model, np.full(P, DAMPING_START), np.full(P, np.inf), np.full(P, np.inf), np.zeros(P))
+    P, never = len(model.q), np.full(len(model.q), np.inf)
+    return Progress(model, np.full(P, DAMPING_START), never, never, never, np.zeros_like(model.scales), np.zeros(P))
 
 
 def improve(
@@ -103,16 +116,22 @@ def _improved(joint: JointType, data: PairData, progress: Progress) -> Progress:
     residual[3:] *= np.sqrt(now.oriented)
     linear = linearised(joint, model, at, trusted, residual)
     step, gain = _damped_step(linear, residual, now.inlier, progress.damping)
-    moved = replace(
-        model, frames=stepped_frames(joint, model.frames, step), q=joint.moved(model.q, linear.state_step(step))
-    )
-    moved, cost = _judged(joint, data, moved, whitening, trusted, now.cost, progress.log_open)
+    moved = replace(model, frames=stepped_frames(joint, model.frames, step))
+    moved, cost = _judged(joint, data, moved, linear.state_step(step), whitening, trusted, now.costs, progress.log_open)
     better = cost <= now.cost
-    fitted, change = _with_noise(data, moved.where(better, model), now, linear, residual, trusted)
-    factor = np.where(better, DAMPING_FALL, DAMPING_RISE)
-    damping = np.clip(progress.damping * factor, DAMPING_MIN, DAMPING_MAX)
+    fitted, change = _with_noise(data, moved.where(better, model), now, linear, residual, trusted, progress)
+    damping = _damping(progress.damping, better)
     room = log_open(joint, data, linear.state_scale, now.inlier)
-    return Progress(fitted, damping, np.fmin(now.cost, cost), gain + change, room)
+    cost = np.fmin(now.cost, cost)
+    fall = np.where(better | (damping > ALL_DAMPED), np.abs(progress.cost - cost), np.inf)
+    promise = np.fmin(gain + change, STILL_TO_COME * np.fmax(fall, progress.fall))
+    return Progress(fitted, damping, cost, fall, promise, np.log(fitted.scales / model.scales), room)
+
+
+def _damping(damping: FloatArray, better: BoolArray) -> FloatArray:
+    """(P,) the next step's: more after one that made nothing better, from where it matters."""
+    more = np.maximum(damping * DAMPING_RISE, DAMPING_START)
+    return np.clip(np.where(better, damping * DAMPING_FALL, more), DAMPING_MIN, DAMPING_MAX)
 
 
 def _damped_step(
@@ -135,35 +154,77 @@ def _judged(
     joint: JointType,
     data: PairData,
     model: Model,
+    step: FloatArray,
     whitening: Whitening,
     trusted: Whitening,
     before: FloatArray,
     room: FloatArray,
 ) -> tuple[Model, FloatArray]:
-    """The model and its cost (P,); where that is more than before, with the states that follow its parameters.
+    """The model with its states moved by `step` (P, T, s), and its cost (P,).
 
-    A long step in a curved valley is a good one once they do.
+    A frame that is dearer than `before`, by its -2 log likelihood (P, T), went too far: its state goes half the way.
+    A long step in a curved valley is a good one once the states follow its parameters: where a pair as a whole is
+    dearer still, they do in frames in which that is better.
     """
+    moved = replace(model, q=joint.moved(model.q, step))
+    at = errors(joint, moved.frames, moved.q, data.R, data.t)
+    cost = likelihood(data, moved, whitening, whitening(at.d, at.e), room).costs
+    if not joint.states:
+        return moved, cost.sum(axis=-1)
+    rows, frames = np.nonzero(cost > before + DEARER)
+    if rows.size:
+        q = joint.moved(model.q[rows, frames], SHORTER * step[rows, frames])
+        its_cost = _costs_of_frames(joint, data, moved, q, rows, frames, room)
+        better = its_cost < cost[rows, frames]
+        moved.q[rows[better], frames[better]] = q[better]
+        cost[rows[better], frames[better]] = its_cost[better]
+    worse = np.flatnonzero(cost.sum(axis=-1) > before.sum(axis=-1))
+    if worse.size:
+        q, followed = _followed(joint, data.take(worse), moved.take(worse), trusted.take(worse), room[worse])
+        better = followed < cost[worse]
+        moved.q[worse], cost[worse] = np.where(better[..., None], q, moved.q[worse]), np.fmin(followed, cost[worse])
+    return moved, cost.sum(axis=-1)
+
+
+def _followed(
+    joint: JointType, data: PairData, model: Model, trusted: Whitening, room: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """States (P, T, s) that follow a model's parameters, and -2 log likelihood of the frames (P, T) in them."""
+    whitening = data.noise.whitening(model.scales)
     at = errors(joint, model.frames, model.q, data.R, data.t)
-    residual = whitening(at.d, at.e)
-    cost = likelihood(data, model, whitening, residual, room).cost
-    worse = np.flatnonzero(cost > before)
-    if not worse.size or not joint.states:
-        return model, cost
-    followed = replace(model, q=joint.moved(model.q, state_steps(joint, model.frames, at, trusted, residual)))
-    at = errors(joint, followed.frames, followed.q, data.R, data.t)
-    its_cost = likelihood(data, followed, whitening, whitening(at.d, at.e), room).cost
-    better = (cost > before) & (its_cost < cost)
-    return followed.where(better, model), np.where(better, its_cost, cost)
+    q = joint.moved(model.q, state_steps(joint, model.frames, at, trusted, whitening(at.d, at.e)))
+    at = errors(joint, model.frames, q, data.R, data.t)
+    return q, likelihood(data, model, whitening, whitening(at.d, at.e), room).costs
+
+
+def _costs_of_frames(
+    joint: JointType, data: PairData, model: Model, q: FloatArray, rows: IntArray, frames: IntArray, room: FloatArray
+) -> FloatArray:
+    """(N,) -2 log likelihood of some frames of some pairs in other states (N, s)."""
+    some, of_pair = data.frames(rows, frames), replace(model, q=model.q[:, :0]).take(rows)
+    whitening = some.noise.whitening(of_pair.scales)
+    at = errors(joint, of_pair.frames, q[:, None], some.R, some.t)
+    return likelihood(some, of_pair, whitening, whitening(at.d, at.e), room[rows]).costs[:, 0]
 
 
 def _with_noise(
-    data: PairData, model: Model, now: Likelihood, linear: Linear, residual: FloatArray, trusted: Whitening
+    data: PairData,
+    model: Model,
+    now: Likelihood,
+    linear: Linear,
+    residual: FloatArray,
+    trusted: Whitening,
+    progress: Progress,
 ) -> tuple[Model, FloatArray]:
-    """The model with new scales and shares, and by how much these lower -2 log likelihood (P,), about."""
+    """The model with new scales and shares, and by how much these lower -2 log likelihood (P,), about.
+
+    Scales that go back where they came from went too far: they go half the way.
+    """
     measured = 3.0 * data.seen + 3.0 * data.oriented * now.oriented
     projected = Projected(residual, linear.states, now.inlier, measured, linear.by_parameters.shape[1])
-    scales = data.noise.updated_scales(model.scales, trusted, projected)
+    step = np.log(data.noise.updated_scales(model.scales, trusted, projected) / model.scales)
+    back = np.sum(step * progress.scales_step, axis=-1) < 0
+    scales = model.scales * np.exp(np.where(back, BACK, 1.0)[:, None] * step)
     outliers, flips = shares(data, now)
     frames = now.inlier.sum(axis=-1)
     change = 0.5 * np.sum(now.inlier * measured, axis=-1) * np.max(np.log(scales / model.scales) ** 2, axis=-1)

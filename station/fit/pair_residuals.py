@@ -53,10 +53,9 @@ def errors(joint: JointType, frames: JointFrames, q: FloatArray, R: FloatArray, 
     """Of joints (P, ...) in states (P, T, s) against poses R (3, 3, P, T) and t (3, P, T)."""
     R_axis, t_axis = entries_first(frames.T_parent_axis)
     R_child, t_child = entries_first(frames.T_axis_child)
-    R_motion, t_motion = entries_first(joint.axis_motion(q, frames.form[:, None]))
-    R_moved = np.einsum("ijp,jkpt->ikpt", R_axis, R_motion)
+    R_moved, shift = joint.moved_axes(R_axis, q, frames.form)
     arm = np.einsum("ijpt,jp->ipt", R_moved, t_child)
-    lever = arm + np.einsum("ijp,jpt->ipt", R_axis, t_motion)
+    lever = arm + shift
     R_model = np.einsum("ijpt,jkp->ikpt", R_moved, R_child)
     d = t - lever - t_axis[..., None]
     return Errors(R_axis, R_moved, lever, arm, d, log(np.einsum("ijpt,kjpt->ikpt", R, R_model)))

@@ -56,10 +56,13 @@ __all__ = [
 
 # Frames with orientation that a fit to poses needs; with fewer a pair is fitted to positions.
 LEAST_ORIENTED = 10
-# Steps that every type is given; after them, those that have fallen behind the best one settle for less.
-FIRST_ITERATIONS = 2
+# Steps that every type is given, and where it starts from a known joint; after them, those that have fallen behind the
+# best one settle for less.
+FIRST_ITERATIONS, FIRST_FROM_KNOWN = 2, 1
 # Tolerance as a share of how far a type is behind: it won't catch up by a thousandth of that.
 BEHIND_TOLERANCE = 0.03
+# So it is for the best one, by how far it is ahead, up to this.
+AHEAD_TOLERANCE = 3.0
 # Share of outliers among poses, and among positions, from which on starts are sought by sample consensus as well:
 # rotations tell axes even with 40 %. A few frames are no share.
 MANY_POSES, MANY_POSITIONS, MANY_FRAMES = 0.15, 0.03, 4.0
@@ -125,8 +128,22 @@ class _Work:
         for name, joint in joints.items():  # all others have come as far as they do, in whatever order types are given
             for simpler in (included for included in joint.includes if included in begun):
                 begun[name] = self._from_included(joint, begun[name], begun[simpler])
-        best = np.min(np.stack([progress.cost for progress in begun.values()]), axis=0)
-        return {name: self._finished(joints[name], progress, best) for name, progress in begun.items()}
+        return {
+            name: self._finished(joints[name], progress, limit)
+            for (name, progress), limit in zip(begun.items(), self._limits(begun), strict=True)
+        }
+
+    def _limits(self, begun: Mapping[str, Progress]) -> FloatArray:
+        """(types, P) tolerances by how far types are behind the best one, or the best one is ahead of the others."""
+        cost = np.stack([progress.cost for progress in begun.values()])
+        behind = cost - np.min(cost, axis=0)
+        limits: FloatArray = np.maximum(self.tolerance, BEHIND_TOLERANCE * behind)
+        if len(cost) > 1:
+            ahead = BEHIND_TOLERANCE * np.sort(behind, axis=0)[1]
+            most = max(AHEAD_TOLERANCE, self.tolerance)
+            of_best: FloatArray = np.clip(ahead, self.tolerance, most)
+            limits = np.where(behind > 0, limits, of_best)
+        return limits
 
     def _begun_again(self, joints: Mapping[str, JointType], begun: Mapping[str, Progress]) -> dict[str, Progress]:
         """With other starts where there are outliers."""
@@ -147,8 +164,12 @@ class _Work:
 
     def _improved(self, joint: JointType, tracks: PairTracks, model: Model) -> Progress:
         enough = np.full(len(model.q), self.tolerance)
-        first = min(FIRST_ITERATIONS, self.iterations)
-        return improve(joint, tracks.data, begin(model), iterations=first, tolerance=enough)
+        return improve(joint, tracks.data, begin(model), iterations=self._first, tolerance=enough)
+
+    @property
+    def _first(self) -> int:
+        """Steps that every type is given."""
+        return min(FIRST_ITERATIONS if self.known is None else FIRST_FROM_KNOWN, self.iterations)
 
     def _with_outliers(self, begun: Mapping[str, Progress]) -> tuple[IntArray, IntArray]:
         """Pairs of which even the likeliest type leaves many outliers or explains little, and others with some."""
@@ -199,9 +220,8 @@ class _Work:
 
         return self._retried(joint, begun, rows, start)
 
-    def _finished(self, joint: JointType, progress: Progress, best: FloatArray) -> JointFit:
-        limit = np.maximum(self.tolerance, BEHIND_TOLERANCE * (progress.cost - best))
-        rest = max(self.iterations - FIRST_ITERATIONS, 0)
+    def _finished(self, joint: JointType, progress: Progress, limit: FloatArray) -> JointFit:
+        rest = self.iterations - FIRST_ITERATIONS
         return finished(
             joint, self.tracks.data, improve(joint, self.tracks.data, progress, iterations=rest, tolerance=limit)
         )

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from station.fit.entrywise import triangular_inverse
 from station.fit.skeleton import Skeleton
 from station.fit.tree_equations import Equations
 from station.logs import FloatArray
@@ -137,9 +138,10 @@ def _roots(
     told = diagonal > 0
     scale = 1 / np.sqrt(np.where(told, diagonal, 1.0))
     scaled = H_ss * scale[..., :, None] * scale[..., None, :]
-    lifted = scaled + np.where(told, UNOBSERVED + damping, 1.0)[..., None] * np.eye(len(order))
-    factor = np.linalg.cholesky(lifted[:, order[:, None], order])
-    inverse = np.asarray(np.linalg.inv(factor), dtype=np.float64)
+    lifted = scaled[:, order[:, None], order]
+    np.einsum("tii->ti", lifted)[...] += np.where(told, UNOBSERVED + damping, 1.0)[:, order]
+    factor = np.asarray(np.linalg.cholesky(lifted), dtype=np.float64)
+    inverse = triangular_inverse(factor)
     weak = np.diagonal(factor, axis1=-2, axis2=-1) ** 2 < WEAK_PIVOT
     if weak.any():  # the row of such a pivot is a direction that was not observed
         length = np.linalg.norm(inverse, axis=-1, keepdims=True)

@@ -49,7 +49,7 @@ def tree_poses(skeleton: Skeleton, model: TreeModel) -> TreePoses:
         origins.append(origin)
         axes.append(axis)
     bodies = tuple(poses[body] for body in range(len(poses)))
-    parts = np.stack(bodies, axis=1)[:, list(skeleton.body_of)] @ model.mounts
+    parts = np.stack([poses[body] for body in skeleton.body_of], axis=1) @ model.mounts
     return TreePoses(bodies, tuple(origins), tuple(axes), parts)
 
 
@@ -97,12 +97,13 @@ def joint_twists(skeleton: Skeleton, model: TreeModel, poses: TreePoses, j: int,
     """
     joint, frames = skeleton.joints[j], model.frames[j]
     sign = -1.0 if joint.turned else 1.0
-    before, after = (sign * _adjoint(T, centre) for T in (poses.origins[j], poses.axes[j]))
+    before, after = sign * _adjoint(np.stack([poses.origins[j], poses.axes[j]]), centre)
     kind, q = joint.type, model.q[:, skeleton.state_columns(j)]
     columns = [before[..., list(kind.axis_freedoms)], after[..., list(kind.child_freedoms)]]
     if kind.form_freedoms:
         columns.append(after @ kind.form_twists(q, frames.form))
-    by_states = after @ kind.state_twists(frames.form)
+    state_twists = kind.state_twists(frames.form)
+    by_states = (after.reshape(-1, 6) @ state_twists).reshape(*after.shape[:-1], kind.states)
     return Twists(
         np.concatenate(columns, axis=-1),
         by_states,
@@ -140,7 +141,7 @@ def _listed(columns: slice) -> IntArray:
 
 
 def _adjoint(T_ref_x: FloatArray, centre: FloatArray) -> FloatArray:
-    """(T, 6, 6) twists about `centre` (T, 3) of right perturbations of poses (T, 4, 4)."""
+    """(..., T, 6, 6) twists about `centre` (T, 3) of right perturbations of poses (..., T, 4, 4)."""
     moved = T_ref_x.copy()
-    moved[:, :3, 3] -= centre
+    moved[..., :3, 3] -= centre
     return se3.adjoint(moved)

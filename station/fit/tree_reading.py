@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,7 @@ from station.fit.bodies import Group
 from station.fit.image.camera_numbers import unknowns
 from station.fit.image.image_fit import ImageFit
 from station.fit.image.refinement import Refined, refine_image
+from station.fit.image.type_choice import with_simpler_types
 from station.fit.image.views import Views
 from station.fit.noise import INLIER_ABOVE
 from station.fit.options import FitOptions
@@ -20,6 +21,7 @@ from station.fit.pairwise import residuals
 from station.fit.reading import JointReading
 from station.fit.rigid_pairs import RigidPairs
 from station.fit.selection import Scores
+from station.fit.skeleton import Skeleton, TreeModel
 from station.fit.structure import outward
 from station.fit.tree_motion import tree_poses
 from station.fit.tree_residuals import measured_parts
@@ -110,7 +112,7 @@ def read_tree(
     if not order:
         group = structure.groups[root]
         return TreeReading((), _mounts(group, group.members, group.mounts, include=include))
-    start = yield from tree_start(structure, root, options)
+    start: TreeStart = yield from tree_start(structure, root, options)
     fit = refine_tree(
         start.skeleton,
         start.model,
@@ -119,7 +121,7 @@ def read_tree(
     )
     image, rigid, seen = None, RigidPairs(), structure.parts.seen[:, list(start.parts)]
     if views is not None:
-        found = _refined_on_corners(structure, start, fit, views, options)
+        start, found = _refined_on_corners(structure, start, fit, views, options)
         fit, image, seen = found.fit, found.image, _seen(found.image.views)
         rigid = _rigid(structure, start, found, options)
     refined = _Refined(structure, start, fit, seen, include)
@@ -134,10 +136,17 @@ def read_tree(
 
 def _refined_on_corners(
     structure: Structure, start: TreeStart, fit: TreeFit, views: Views, options: FitOptions
-) -> Refined:
+) -> tuple[TreeStart, Refined]:
+    """The tree, with joints of the simplest types that explain the corners, and its fit."""
     names = tuple(structure.parts.names[k] for k in start.parts)
     unknown = unknowns(views.camera, views.readout_s, options.camera_numbers)
-    return refine_image(start.skeleton, fit.model, names, views, unknown)
+
+    def refining(skeleton: Skeleton, model: TreeModel) -> Refined:
+        return refine_image(skeleton, model, names, views, unknown)
+
+    found = refining(start.skeleton, fit.model)
+    skeleton, found = with_simpler_types(start.skeleton, found, options.joint_types, refining)
+    return replace(start, skeleton=skeleton), found
 
 
 def _rigid(structure: Structure, start: TreeStart, found: Refined, options: FitOptions) -> RigidPairs:

@@ -4,16 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import expit, gammaincinv
 
+from station.fit import entrywise
 from station.fit.bodies import Bodies
+from station.fit.entrywise import entries_last
 from station.fit.noise import Noise
 from station.fit.pairwise import OUTLIER_SHARE_START, ROTATION_VOLUME
 from station.fit.tree_data import PartEquations
-from station.kinematics import se3
 from station.logs import FloatArray
 
 BoolArray = NDArray[np.bool_]
@@ -81,6 +83,8 @@ class Measured:
 
     def hotter(self, heat: FloatArray) -> Measured:
         """With variances so many times as large (K,)."""
+        if np.all(heat == 1):
+            return self
         return replace(self, spread=self.spread * np.sqrt(heat)[:, None])
 
     def heat(self, chi2: FloatArray) -> FloatArray:
@@ -115,6 +119,11 @@ class Measured:
     def per_row(self) -> FloatArray:
         """(K, 6) one over the spread, for each whitened residual."""
         return np.repeat(1 / self.spread, 3, axis=-1)
+
+    @cached_property
+    def spread_whitener(self) -> FloatArray:
+        """(T, K, 6, 6) with the spread in it."""
+        return self.whitener * self.per_row[..., None]
 
 
 def measured_parts(bodies: Bodies, parts: Sequence[int]) -> Measured:
@@ -157,10 +166,11 @@ def tree_residuals(measured: Measured, T_ref_part: FloatArray) -> TreeResiduals:
     Along the reference's axes they are those of `pairwise.residuals`, turned by R_meas; the whitener knows of it.
     """
     R_model_t = np.ascontiguousarray(np.swapaxes(T_ref_part[..., :3, :3], -1, -2))
-    turn = se3.log_so3(measured.T_ref_part[..., :3, :3] @ R_model_t)
-    shift = measured.T_ref_part[..., :3, 3] - T_ref_part[..., :3, 3]
-    e = np.concatenate([shift, turn], axis=-1)
-    return TreeResiduals(turn, (measured.whitener @ e[..., None])[..., 0] * measured.per_row)
+    turned = measured.T_ref_part[..., :3, :3] @ R_model_t
+    e = np.empty((*turned.shape[:-2], 6))
+    e[..., :3] = measured.T_ref_part[..., :3, 3] - T_ref_part[..., :3, 3]
+    e[..., 3:] = entries_last(entrywise.log(np.moveaxis(turned, (-2, -1), (0, 1))), 1)
+    return TreeResiduals(e[..., 3:], np.einsum("tkij,tkj->tki", measured.spread_whitener, e))
 
 
 def part_jacobians(
@@ -171,10 +181,14 @@ def part_jacobians(
     A twist [v, w] moves the position by v + w x p and turns R_model to exp(w) R_model: with phi the turn that is left,
     d phi = -Jr^-1(phi) w.
     """
-    along, about = measured.whitener[..., :3], measured.whitener[..., 3:]
-    arm = se3.hat3(T_ref_part[..., :3, 3] - centre[:, None])
-    by_turn = along @ arm - about @ se3.inverse_left_jacobian_so3(-residuals.turn)
-    return np.concatenate([-along, by_turn], axis=-1) * measured.per_row[..., None]
+    moved = np.zeros((*residuals.turn.shape[:-1], 6, 6))
+    x, y, z = np.moveaxis(T_ref_part[..., :3, 3] - centre[:, None], -1, 0)
+    moved[..., 0, 0] = moved[..., 1, 1] = moved[..., 2, 2] = -1.0
+    moved[..., 0, 4], moved[..., 1, 5], moved[..., 2, 3] = -z, -x, -y
+    moved[..., 0, 5], moved[..., 1, 3], moved[..., 2, 4] = y, z, x
+    turn = np.ascontiguousarray(np.moveaxis(residuals.turn, -1, 0))
+    moved[..., 3:, 3:] = entries_last(-entrywise.inverse_right_jacobian(turn), 2)
+    return measured.spread_whitener @ moved
 
 
 def better_ones(against_usual: FloatArray, seen: BoolArray) -> FloatArray:

@@ -22,6 +22,10 @@ STEPS = 25
 ROUNDS = 3
 # Settled with the step that promises to change chi squared by less than this: what is left after it is of second order.
 SETTLED = 0.1
+# It is near enough for the noise to be told by what is left, and for states to be sought anew.
+NEAR = 30.0
+# So it is, too, with so many steps on end that change it by no more: what they promise may be out of reach.
+IDLE = 2
 # A frame that a step makes dearer by more, in -2 log likelihood, is looked into.
 DEARER = 1.0
 # Rounds of the parts' noise, and the relative change of a deviation that asks for another.
@@ -55,7 +59,7 @@ class Solution:
 
 def solve(problem: Problem[Measured], model: TreeModel) -> tuple[Problem[Measured], Solution]:
     """The likeliest parameters and states; and the problem with the noise that each part turned out to have."""
-    solution = _settled(problem, model)
+    solution = _settled(problem, model, NEAR)
     for _ in range(NOISE_ROUNDS):  # better weights may tell the noise better
         spread = spread_of(problem, solution.model, solution.inlier, solution.last)
         change = np.abs(np.log(spread / problem.measured.spread))
@@ -63,7 +67,7 @@ def solve(problem: Problem[Measured], model: TreeModel) -> tuple[Problem[Measure
             break
         problem = replace(problem, measured=replace(problem.measured, spread=spread))
         solution = refined(problem, solution.model, steps=1)  # it tells the noise as well as where it would settle
-    return problem, solution if solution.settled else _settled(problem, solution.model)
+    return problem, _settled(problem, solution.model, SETTLED)
 
 
 def unmoved(problem: Problem[Measured], model: TreeModel) -> Solution:
@@ -73,21 +77,26 @@ def unmoved(problem: Problem[Measured], model: TreeModel) -> Solution:
     return Solution(model, chi2, inlier, problem.linearised(model, inlier, 0.0), settled=True)
 
 
-def _settled(problem: Problem[Measured], model: TreeModel) -> Solution:
+def _settled(problem: Problem[Measured], model: TreeModel, enough: float) -> Solution:
     """All refined together; where frames don't fit then, their states sought anew, and again."""
-    solution = refined(problem, model)
+    solution = refined(problem, model, enough=enough)
     for _ in range(ROUNDS):  # better parameters may tell better states, and these better parameters
         heat = problem.measured.heat(solution.chi2)
         hot = problem.measured.hotter(heat)
         likely = with_likely_states(problem.skeleton, solution.model, hot, solution.chi2 / heat)
         if likely is solution.model:
             break
-        solution = refined(problem, likely)
+        solution = refined(problem, likely, enough=enough)
     return solution
 
 
 def refined(
-    problem: Problem[Data], model: TreeModel, mended: Mended[Data] | None = None, *, steps: int = STEPS
+    problem: Problem[Data],
+    model: TreeModel,
+    mended: Mended[Data] | None = None,
+    *,
+    steps: int = STEPS,
+    enough: float = SETTLED,
 ) -> Solution:
     """Damped Gauss-Newton from a start.
 
@@ -97,8 +106,9 @@ def refined(
         mended: has the states of frames (n,) sought anew, which a step made dearer: given the problem, the model before
             the step, and after. A step goes too far in a few frames long before it does in all.
         steps: at most.
+        enough: settled with the step that promises to change chi squared by no more.
     """
-    skeleton, data, chi2, damping = problem.skeleton, problem.measured, problem.chi2(model), 0.0
+    skeleton, data, chi2, damping, idle = problem.skeleton, problem.measured, problem.chi2(model), 0.0, 0
     while True:
         heat = data.heat(chi2)
         hot = data.hotter(heat)
@@ -114,10 +124,12 @@ def refined(
                 tried = mended(replace(problem, measured=hot), model, tried, rows)
                 tried_chi2 = problem.chi2(tried)
         dearer = float(np.sum(hot.costs(tried_chi2 / heat) - hot.costs(chi2 / heat)))
-        better = dearer + problem.prior.cost(tried.shared) - problem.prior.cost(model.shared) <= 0
+        fall = problem.prior.cost(model.shared) - problem.prior.cost(tried.shared) - dearer
+        better = fall >= 0
         if better:
             model, chi2 = tried, tried_chi2
-        settled, steps = promise <= SETTLED and damping <= DAMPING_LEAST, steps - 1
+            idle = idle + 1 if fall <= enough else 0
+        settled, steps = (promise <= enough and damping <= DAMPING_LEAST) or idle == IDLE, steps - 1
         if settled or not steps:
             break
         damping = _damping(damping, better=better)

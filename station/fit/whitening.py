@@ -70,6 +70,12 @@ class Whitening:
         A[3:] += np.einsum("ijpt,jcpt->icpt", self.wv, u)
         return np.negative(A, out=A)
 
+    def take(self, rows: IntArray | BoolArray) -> Whitening:
+        """That of some of the pairs."""
+        return Whitening(
+            self.vv[:, :, rows], self.wv[:, :, rows], self.ww[:, :, rows], self.log_v[rows], self.log_w[rows]
+        )
+
     def trusting(self, share: FloatArray) -> Whitening:
         """With orientations that count by a share (P, T) only."""
         root = np.sqrt(share)
@@ -120,9 +126,14 @@ class GivenNoise:
 
     def take(self, rows: IntArray | BoolArray) -> GivenNoise:
         """The noise of some of the pairs."""
+        return GivenNoise(self.unit.take(rows), self.least[rows])
+
+    def frames(self, rows: IntArray, frames: IntArray) -> GivenNoise:
+        """That of some frames (N,) of some pairs (N,), each as a pair of its own."""
         w = self.unit
-        some = Whitening(w.vv[:, :, rows], w.wv[:, :, rows], w.ww[:, :, rows], w.log_v[rows], w.log_w[rows])
-        return GivenNoise(some, self.least[rows])
+        vv, wv, ww = (matrix[:, :, rows, frames, None] for matrix in (w.vv, w.wv, w.ww))
+        log_v, log_w = (log[rows, frames, None] for log in (w.log_v, w.log_w))
+        return GivenNoise(Whitening(vv, wv, ww, log_v, log_w), self.least[rows])
 
     def whitening(self, scales: FloatArray) -> Whitening:
         """At scales (P, 1)."""
@@ -178,6 +189,16 @@ class UnknownNoise:
         """The noise of some of the pairs."""
         return UnknownNoise(
             self.position[:, rows], self.noisy[:, rows], self.seen[rows], self.oriented[rows], self.least[rows]
+        )
+
+    def frames(self, rows: IntArray, frames: IntArray) -> UnknownNoise:
+        """That of some frames (N,) of some pairs (N,), each as a pair of its own."""
+        return UnknownNoise(
+            self.position[:, rows, frames, None],
+            self.noisy[:, rows],
+            self.seen[rows, frames, None],
+            self.oriented[rows, frames, None],
+            self.least[rows],
         )
 
     def whitening(self, scales: FloatArray) -> Whitening:

@@ -8,7 +8,7 @@ frame where its orientation differs from that one's by more than 0.5 deg, and th
   no others (parted); how many another tree; and how many of all these give no warning (unsaid);
 - of runs with the right tree, how many have some part elsewhere in some frame, in how many of these some is unsaid;
 - frames times parts in these runs: all, elsewhere, of these unsaid, and false alarms: in doubt, but right;
-- elsewhere in the other runs, and of these unsaid;
+- elsewhere in the other runs, and of these unsaid; a tree in parts tells less of each, and errs more;
 - processor time of a fit, median and most.
 
 What misses is marked <.

@@ -40,6 +40,18 @@ def test_the_state_s_twists_are_what_a_change_of_state_does(joint: JointType) ->
 
 
 @TYPES
+def test_moved_axes_are_those_of_the_motion(joint: JointType) -> None:
+    rng = np.random.default_rng(3)
+    q, form = rng.uniform(-2, 2, (4, 5, joint.states)), 0.1 * rng.normal(size=(4, joint.form_freedoms))
+    F = se3.exp(rng.normal(size=(4, 1, 6)))
+    F[..., :3, 3] = 0.0
+    moved = F @ joint.axis_motion(q, form[:, None])
+    R, shift = joint.moved_axes(np.moveaxis(F[:, 0, :3, :3], 0, -1), q, form)
+    np.testing.assert_allclose(np.moveaxis(R, (0, 1), (-2, -1)), moved[..., :3, :3], atol=1e-14)
+    np.testing.assert_allclose(np.moveaxis(shift, 0, -1), moved[..., :3, 3], atol=1e-14)
+
+
+@TYPES
 def test_a_motion_with_one_state_is_the_exponential_of_its_twist(joint: JointType) -> None:
     for q in (-2.0, -1e-9, 0.0, 0.4, 3.0):
         xi = joint.state_twists(np.full(joint.form_freedoms, 0.05)) @ np.full(joint.states, q)

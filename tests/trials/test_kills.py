@@ -13,7 +13,7 @@ from tests.trials.programs import Program, capture_arguments, program
 
 MOST_LOST_S = 1.0
 # A fit wants 10 frames of the parts together, and those of the last second may be lost.
-ENOUGH_FRAMES = 45
+ENOUGH_FRAMES = 25
 
 
 def said(running: Program, text: str) -> bool:

@@ -37,7 +37,7 @@ EXPLAINED = 0.6
 USUAL, ODD_SHARE = 2 * float(gammaincinv(0.5, 0.999)), 0.02
 # Standard deviations by which the motion may exceed the noise by chance.
 CHANCE_SIGMAS = 4.0
-LEAST_FRAMES = 20
+LEAST_FRAMES = 10
 # Bodies whose places in each other change by more, at the median, are not looked into.
 NEAR_PX = 1.0
 # Share of a pose's variance below which it has no direction there; and as multiples of the motion: errors of hundredths

@@ -143,6 +143,20 @@ class JointType(ABC):
     def axis_motion(self, q: FloatArray, form: FloatArray) -> FloatArray:
         """(..., 4, 4) motion M for states q (..., s) and forms (..., m); NaN where a state is."""
 
+    def moved_axes(self, R_axis: FloatArray, q: FloatArray, form: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """R_axis M, rotation (3, 3, P, T) and shift (3, P, T) of the moved axis frame along the parent's axes.
+
+        Entries come first: for many frames that is much quicker than products of poses.
+
+        Args:
+            R_axis: (3, 3, P) of the axis frame in the parent.
+            q: (P, T, s) states.
+            form: (P, m).
+        """
+        M = self.axis_motion(q, form[:, None])
+        R, t = M[..., :3, :3].transpose(2, 3, 0, 1), M[..., :3, 3].transpose(2, 0, 1)
+        return np.einsum("ijp,jkpt->ikpt", R_axis, R), np.einsum("ijp,jpt->ipt", R_axis, t)
+
     @abstractmethod
     def state_twists(self, form: FloatArray) -> FloatArray:
         """(..., 6, s) right perturbations of M by changes of the state, M(moved(q, dq)) = M(q) exp(twists dq)."""

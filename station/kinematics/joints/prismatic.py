@@ -36,6 +36,12 @@ class Prismatic(JointType):
         T[np.isnan(q[..., 0])] = np.nan
         return T
 
+    def moved_axes(self, R_axis: FloatArray, q: FloatArray, form: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """R_axis M, entries first; it moves along z and does not turn."""
+        R = np.empty((3, 3, *q.shape[:-1]))
+        R[...] = R_axis[..., None]
+        return R, R_axis[:, 2, :, None] * q[..., 0]
+
     def state_twists(self, form: FloatArray) -> FloatArray:
         """(..., 6, 1) along z."""
         return np.broadcast_to(np.eye(6)[:, 2:3], (*np.shape(form)[:-1], 6, 1))

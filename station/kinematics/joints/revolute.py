@@ -53,6 +53,14 @@ class Revolute(JointType):
         """(..., 4, 4) rotation about z by q (..., 1) radians."""
         return se3.rotation_z(q[..., 0])
 
+    def moved_axes(self, R_axis: FloatArray, q: FloatArray, form: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """R_axis M, entries first; x and y turn, z stays."""
+        x, y, z = R_axis[:, 0, :, None], R_axis[:, 1, :, None], R_axis[:, 2, :, None]
+        cosine, sine = np.cos(q[..., 0]), np.sin(q[..., 0])
+        R = np.empty((3, 3, *q.shape[:-1]))
+        R[:, 0], R[:, 1], R[:, 2] = cosine * x + sine * y, cosine * y - sine * x, z
+        return R, np.zeros((3, *q.shape[:-1]))
+
     def state_twists(self, form: FloatArray) -> FloatArray:
         """(..., 6, 1) about z."""
         return np.broadcast_to(np.eye(6)[:, 5:6], (*np.shape(form)[:-1], 6, 1))

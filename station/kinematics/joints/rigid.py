@@ -28,6 +28,12 @@ class Rigid(JointType):
         """(..., 4, 4) identities."""
         return se3.identity(*np.shape(q)[:-1])
 
+    def moved_axes(self, R_axis: FloatArray, q: FloatArray, form: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """R_axis M, entries first: R_axis."""
+        R = np.empty((3, 3, *q.shape[:-1]))
+        R[...] = R_axis[..., None]
+        return R, np.zeros((3, *q.shape[:-1]))
+
     def state_twists(self, form: FloatArray) -> FloatArray:
         """(..., 6, 0)."""
         return np.zeros((*np.shape(form)[:-1], 6, 0))
