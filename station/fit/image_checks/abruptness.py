@@ -28,7 +28,7 @@ def is_abrupt(sums: Sums, what: str, at: int) -> bool:
     kind, _, number = what.partition(" ")
     seen: FloatArray = np.cumsum(sums.pictures[:, int(number)] if kind == "marker" else sums.pictures.max(axis=1))
     times = range(max(at - NEAR, LEAST_TICKS), min(at + NEAR, len(seen) - LEAST_TICKS) + 1)
-    enough = 2.0 * float(gammaincinv(0.5 * (c.stop - c.start), 1.0 - LEVEL))
+    enough = 2.0 * float(gammaincinv(0.5 * (int(c.stop) - int(c.start)), 1.0 - LEVEL))
     return any(_gain(sums, c, _around(seen, time), time) > enough for time in times)
 
 
