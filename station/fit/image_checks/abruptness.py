@@ -1,4 +1,4 @@
-"""Whether a change is sudden: told from what drifts, in the pictures just before and just after it.
+"""Whether a change is sudden, or a drift that looks like one: told by the pictures just before and just after it.
 
 A detector's own errors go as a marker's pose does: over a session they may look like a step, but about any time they
 pass as a line does. What slipped or was touched is somewhere else from one picture to the next.
@@ -7,7 +7,6 @@ pass as a line does. What slipped or was touched is somewhere else from one pict
 from __future__ import annotations
 
 import numpy as np
-from scipy.special import gammaincinv
 
 from station.fit.image_checks.sums import Sums
 from station.logs import FloatArray
@@ -16,20 +15,23 @@ from station.logs import FloatArray
 PICTURES, LEAST_TICKS = 8.0, 3
 # A change's time is known to about so many ticks.
 NEAR = 2
-# Chance of so much in pictures without a change, at one of the times that are tried.
-LEVEL = 1e-2
+# What is likelier to be a drift than a step by this much, in twice the log likelihood, is none: noise alone makes two
+# deviations of a true step as much, so that no more than 2 % of these are lost.
+AGAINST = -4.0
 # Directions with less than this share of the information of the best known one say nothing.
 NOTHING = 1e-6
 
 
-def is_abrupt(sums: Sums, what: str, at: int) -> bool:
-    """Whether a change that is likeliest at the beginning of a tick is more than a drift."""
+def is_abrupt(sums: Sums, what: str, at: int, size: FloatArray) -> bool:
+    """Whether a change by a size (d,) that is likeliest at the beginning of a tick may be one.
+
+    Few or noisy pictures can't tell it from a drift; then it may.
+    """
     c = sums.columns[what]
     kind, _, number = what.partition(" ")
     seen: FloatArray = np.cumsum(sums.pictures[:, int(number)] if kind == "marker" else sums.pictures.max(axis=1))
     times = range(max(at - NEAR, LEAST_TICKS), min(at + NEAR, len(seen) - LEAST_TICKS) + 1)
-    enough = 2.0 * float(gammaincinv(0.5 * (int(c.stop) - int(c.start)), 1.0 - LEVEL))
-    return any(_gain(sums, c, _around(seen, time), time) > enough for time in times)
+    return any(_for_a_step(sums, c, _around(seen, time), time, size) > AGAINST for time in times)
 
 
 def _around(seen: FloatArray, time: int) -> tuple[int, int]:
@@ -45,22 +47,21 @@ def _around(seen: FloatArray, time: int) -> tuple[int, int]:
     return max(first, 0), min(last, len(seen))
 
 
-def _gain(sums: Sums, c: slice, ticks: tuple[int, int], time: int) -> float:
-    """By how much twice the log likelihood grows with a step, beside a line, all other numbers as they are."""
+def _for_a_step(sums: Sums, c: slice, ticks: tuple[int, int], time: int, size: FloatArray) -> float:
+    """By how much twice the log likelihood is greater with a step beside a line than without, the rest as it is."""
     t: FloatArray = np.arange(*ticks, dtype=np.float64) - (time - 0.5)
     profiles, window = np.stack([np.heaviside(t, 0.0), np.ones(len(t)), t / len(t)]), slice(*ticks)
     d = c.stop - c.start
     products: FloatArray = np.einsum("it,jt,tkl->ikjl", profiles, profiles, sums.DD[window, c, c])
     information = products.reshape(3 * d, 3 * d)
     score = (profiles @ sums.Dr[window, c]).ravel()
-    size = np.sqrt(np.maximum(np.diag(information), 1e-300))
-    information, score = information / size[:, None] / size, score / size
-    by_line = information[:d, d:] @ _inverse(information[d:, d:])
+    unit = np.sqrt(np.maximum(np.diag(information), 1e-300))
+    by_line = information[:d, d:] @ _inverse(information[d:, d:], unit[d:])
     left = information[:d, :d] - by_line @ information[d:, :d]
-    pull = score[:d] - by_line @ score[d:]
-    return float(pull @ _inverse(left) @ pull)
+    return float(2.0 * size @ (score[:d] - by_line @ score[d:]) - size @ left @ size)
 
 
-def _inverse(information: FloatArray) -> FloatArray:
-    """Of what is known; nothing along what isn't."""
-    return np.asarray(np.linalg.pinv(information, rcond=NOTHING, hermitian=True), dtype=np.float64)
+def _inverse(information: FloatArray, unit: FloatArray) -> FloatArray:
+    """Of what is known, judged in units (n,); nothing along what isn't."""
+    scaled = information / unit[:, None] / unit
+    return np.asarray(np.linalg.pinv(scaled, rcond=NOTHING, hermitian=True), dtype=np.float64) / unit[:, None] / unit

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import gammaincc, gammaln
@@ -152,8 +152,9 @@ def step_effect(sums: Sums, what: str) -> Effect:
     behind = np.minimum(scan.gain - scan.gain[best], 0.0)  # where it isn't allowed it may be ahead
     likely = np.where(allowed, np.exp(0.5 * behind / noise), 0.0)
     ratio = (informative.sum() / LEAST_TICKS - 1.0) ** 2
-    log_p = log_chance_of_a_step(x, directions, float(ratio)) if is_abrupt(sums, what, best) else 0.0
-    return _effect(sums, what, profile, scan, best, log_p, directions, noise, freedom, likely / likely.sum())
+    log_p = log_chance_of_a_step(x, directions, float(ratio))
+    effect = _effect(sums, what, profile, scan, best, log_p, directions, noise, freedom, likely / likely.sum())
+    return effect if is_abrupt(sums, what, best, effect.size) else replace(effect, log_p=0.0)
 
 
 def constant_effect(sums: Sums, what: str, profile: FloatArray) -> Effect:
