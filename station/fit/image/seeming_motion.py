@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from scipy.special import gammaincinv
 
 from station.fit.image.corner_data import CornerData
+from station.fit.image.detector_errors import REPEATED_PX
 from station.fit.image.views import COORDINATES
 from station.fit.tree_elimination import FrameStates
 from station.fit.tree_equations import Moved, moved_by
@@ -29,8 +30,6 @@ from station.logs import FloatArray
 
 BoolArray = NDArray[np.bool_]
 
-# Root mean square by which corners may seem to move with errors that repeat; on rendered pictures up to 0.016 px.
-REPEATED_PX = 0.05
 # What a body's pose must explain, at least, of the motion beyond the noise.
 EXPLAINED = 0.6
 # Frames beyond this quantile of one number are counted apart, and may be so many: flips that are left say nothing.

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from station.fit.image.detector_errors import REPEATED_PX
 from station.fit.image.image_fit import ImageFit
-from station.fit.image.seeming_motion import REPEATED_PX
 from station.fit.image.views import COORDINATES
 from station.logs import FloatArray
 

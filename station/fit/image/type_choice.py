@@ -14,6 +14,7 @@ from typing import TypeVar
 import numpy as np
 
 from station.fit.image.corner_data import costs_of_squares
+from station.fit.image.detector_errors import DETECTOR_PX
 from station.fit.image.refinement import Refined
 from station.fit.image.views import COORDINATES
 from station.fit.skeleton import Skeleton, TreeModel
@@ -26,8 +27,6 @@ Item = TypeVar("Item")
 
 # Types that are a case of another one, the simplest first.
 SIMPLER: Mapping[str, tuple[str, ...]] = {"spherical": ("revolute",), "screw": ("revolute", "prismatic")}
-# What a detector errs by at least in each coordinate, alike in all frames in which a marker is seen alike.
-DETECTOR_PX = 0.015
 # Standard deviations of chi squared by which a simpler type may exceed its mean.
 CHANCE_SIGMAS = 4.0
 # Types by which a body's place and turns are farther off, at the median, aren't tried.

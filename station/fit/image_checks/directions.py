@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.intrinsics import CameraModel, project, project_jacobian
+from station.fit.image.detector_errors import DETECTOR_PX
 from station.fit.image.image_fit import ImageFit
 from station.fit.image.projection import corner_places, focused
 from station.fit.image.views import COORDINATES
@@ -23,10 +24,6 @@ TWIST = 6
 CAMERA, EDGES, FOCAL, PLACE, TILT = "camera", "edges", "focal", "place", "tilt"
 # k1, k2, p1, p2: a calibration that errs in k3 errs in k2 much the same way.
 LENS = 4
-# Detectors' own errors of a coordinate, px, which change with a marker's pose as slowly as that does: as large as their
-# noise on rendered pictures. Without, 22 of 44 clean rendered sessions are suspected; with it none (0.01 was the least
-# that did for the 10 of them that it was set by).
-DETECTOR_PX = 0.015
 
 
 @dataclass(frozen=True, eq=False)
