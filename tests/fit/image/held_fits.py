@@ -98,6 +98,13 @@ class HeldJoint:
         """The same of the point."""
         return region(self.point_error, self.point_std, self.bound.point)
 
+    @property
+    def inside_by_chance(self) -> tuple[float, float]:
+        """Whether the bound's own 95 % regions hold the best linear estimate's errors of axis and point, 1 or 0."""
+        of_axis = region(self.bound.axis_error, float(np.sqrt(np.trace(self.bound.axis))), self.bound.axis)
+        of_point = region(self.bound.point_error, float(np.sqrt(np.trace(self.bound.point))), self.bound.point)
+        return of_axis[0], of_point[0]
+
 
 def region(error: FloatArray, stated: float, least: FloatArray) -> tuple[float, float]:
     """Of the ellipse with the bound's shape and the stated size, as a fit states one number for all directions."""
