@@ -33,6 +33,12 @@ def ax_bus(*ids: int, model: str = "AX-18A") -> Iterator[EmulatedBus]:
         yield bus
 
 
+@pytest.fixture(autouse=True)
+def patient(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A scan that waits longer for answers: other tests may keep the emulated bus from its turn."""
+    monkeypatch.setattr("drivers.probe.MARGIN_S", 0.15)
+
+
 def write_rig(folder: Path, port: str) -> Path:
     path = folder / "arm.toml"
     path.write_text(RIG.format(port=port, protocol=1.0, model="AX-18A"), encoding="utf-8")
