@@ -6,11 +6,17 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import minimum_spanning_tree
 
+from station.errors import InvalidData
 from station.logs import FloatArray
 
 BoolArray = NDArray[np.bool_]
 IntArray = NDArray[np.intp]
+
+# scipy's spanning tree takes a weight of zero for no edge: all weights are shifted so that the least is this.
+LEAST_WEIGHT = 1.0
 
 
 def spanning_forest(nodes: int, pairs: IntArray, weights: FloatArray) -> IntArray:
@@ -22,17 +28,24 @@ def spanning_forest(nodes: int, pairs: IntArray, weights: FloatArray) -> IntArra
         nodes: number of parts.
         pairs: (P, 2).
         weights: (P,).
+
+    Raises:
+        InvalidData: if the number of edges is not that of a spanning forest.
     """
     useful = np.flatnonzero(np.isfinite(weights) & (weights < 0))
-    tree = list(range(nodes))  # for each node the number of its tree so far
-    edges: list[int] = []
-    lightest: list[int] = useful[np.argsort(weights[useful], kind="stable")].tolist()
-    for index in lightest:  # Kruskal's order
-        one, other = tree[int(pairs[index, 0])], tree[int(pairs[index, 1])]
-        if one != other:
-            edges.append(index)
-            tree = [one if label == other else label for label in tree]
-    return np.array(sorted(edges), dtype=np.intp)
+    if not useful.size:
+        return useful
+    shifted = weights[useful] - weights[useful].min() + LEAST_WEIGHT
+    graph = coo_array((shifted, (pairs[useful, 0], pairs[useful, 1])), shape=(nodes, nodes)).tocsr()
+    chosen = minimum_spanning_tree(graph).tocoo()
+    index = {(int(a), int(b)): int(i) for i, (a, b) in zip(useful, pairs[useful], strict=True)}
+    edges = np.array(sorted(index[int(a), int(b)] for a, b in zip(*chosen.coords, strict=True)), dtype=np.intp)
+    trees = len(set(components(nodes, pairs[useful])))
+    if len(edges) != nodes - trees:
+        raise InvalidData(
+            f"the spanning tree of {nodes} parts in {trees} trees has {len(edges)} edges; want {nodes - trees}"
+        )
+    return edges
 
 
 def contenders(nodes: int, pairs: IntArray, weights: FloatArray, least: FloatArray) -> BoolArray:

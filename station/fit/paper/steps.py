@@ -13,7 +13,7 @@ from station.fit.paper.criterion import PAPER_AIC, Criterion
 from station.fit.paper.elimination import Elimination, eliminate_rigid
 from station.fit.paper.optimiser import Optimiser, scoring
 from station.fit.paper.starts import STARTS, Start
-from station.fit.structure import spanning_forest
+from station.fit.structure import LEAST_WEIGHT, spanning_forest
 from station.logs import FloatArray, PoseLog
 from station.smoothing import smooth
 
@@ -43,9 +43,10 @@ def unsmoothed(log: PoseLog) -> PoseLog:
 def spanning_tree(parts: int, pairs: IntArray, scores: FloatArray) -> IntArray:
     """The minimum spanning tree of all pairs (III-A).
 
-    Scores are moved below zero, since only such pairs are edges of the station's forest; the tree stays the same.
+    Scores are moved below zero, since only such pairs are edges of the station's forest; the tree stays the same. (A
+    score of zero, left as it is, would be no edge for SciPy, and its pair be lost without a word.)
     """
-    return spanning_forest(parts, pairs, scores - scores.max() - 1.0)
+    return spanning_forest(parts, pairs, scores - scores.max() - LEAST_WEIGHT)
 
 
 @dataclass(frozen=True)
