@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from typing import TypeVar
 
@@ -34,3 +34,35 @@ def each(function: Callable[[Job], Result], jobs: Iterable[Job], workers: int) -
         return [function(job) for job in jobs]
     with ProcessPoolExecutor(workers) as pool:
         return list(pool.map(function, jobs))
+
+
+def show_rows(
+    description: str | None,
+    head: str,
+    rows: Iterable[str],
+    run: Callable[[tuple[str, int, int]], Result],
+    row: Callable[[str, list[Result]], str],
+    faults: Callable[[list[Result]], Iterator[str]],
+) -> None:
+    """Parse the command line, and print a table: a line for each row, of as many trials.
+
+    Args:
+        description: of the program.
+        head: of the table.
+        rows: their names; --only chooses among them.
+        run: a trial, by (row, seed, trial).
+        row: a line of the trials of a row.
+        faults: lines on trials with a fault, for --listed.
+    """
+    options = parser(description, trials=40, quick=4)
+    options.add_argument("--only", default="", help="rows whose name has this in it")
+    options.add_argument("--listed", action="store_true", help="also what went wrong, with its row and trial")
+    chosen = options.parse_args()
+    print(head)
+    for name in rows:
+        if chosen.only not in name:
+            continue
+        found = each(run, [(name, chosen.seed, trial) for trial in range(trials_of(chosen))], chosen.workers)
+        print(row(name, found), flush=True)
+        for line in faults(found) if chosen.listed else ():
+            print(f"    {line}", flush=True)

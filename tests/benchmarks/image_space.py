@@ -14,12 +14,13 @@ Run: python -m tests.benchmarks.image_space [--seed N] [--trials N] [--quick] [-
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from station.errors import StationError
-from tests.benchmarks.arguments import each, parser, trials_of
+from tests.benchmarks.arguments import show_rows
 from tests.fit.image.held_fits import HeldFit, fitted, held
 from tests.fit.image.simulated_views import Scene, Seeing, watched
 
@@ -137,23 +138,11 @@ def row(name: str, found: list[Trial]) -> str:
 
 def main() -> None:
     """Print a row for each kind of scene."""
-    options = parser(__doc__, trials=40, quick=4)
-    options.add_argument("--only", default="", help="rows whose name has this in it")
-    options.add_argument("--listed", action="store_true", help="also what went wrong, with its row and trial")
-    chosen = options.parse_args()
-    print(HEAD)
-    for name in ROWS:
-        if chosen.only not in name:
-            continue
-        jobs = [(name, chosen.seed, trial) for trial in range(trials_of(chosen))]
-        found = each(run, jobs, chosen.workers)
-        print(row(name, found), flush=True)
-        if chosen.listed:
-            listed(found)
+    show_rows(__doc__, HEAD, ROWS, run, row, faults)
 
 
-def listed(found: list[Trial]) -> None:
-    """Print a line for each run with a fault."""
+def faults(found: list[Trial]) -> Iterator[str]:
+    """A line for each run with a fault."""
     for k, trial in enumerate(found):
         worst = max((a / b for a, b, _ in trial.ratios), default=0.0)
         if trial.mistake or trial.wrong or worst > WITHIN:
@@ -161,7 +150,7 @@ def listed(found: list[Trial]) -> None:
                 f"{trial.wrong} frames in another minimum, {trial.unsaid} unsaid, worst ratio {worst:.2f} of chance"
             )
             said = "warned" if trial.said else "not warned"
-            print(f"    trial {k}: {f'{trial.mistake} ({said})' if trial.mistake else minima}", flush=True)
+            yield f"trial {k}: {f'{trial.mistake} ({said})' if trial.mistake else minima}"
 
 
 if __name__ == "__main__":

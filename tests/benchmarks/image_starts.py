@@ -19,6 +19,7 @@ Run: python -m tests.benchmarks.image_starts [--seed N] [--trials N] [--quick] [
 from __future__ import annotations
 
 import time
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -32,7 +33,7 @@ from station.fit.result import Fit
 from station.kinematics import se3
 from station.logs import BoolArray, FloatArray
 from station.tree_scores import score_tree
-from tests.benchmarks.arguments import each, parser, trials_of
+from tests.benchmarks.arguments import show_rows
 from tests.fit.image.held_fits import rows_of
 from tests.fit.image.simulated_views import Scene, Seeing, Watched, watched
 from tests.fit.true_trees import true_tree
@@ -207,27 +208,16 @@ def mark(count: int) -> str:
 
 def main() -> None:
     """Print a row for each kind of hardness."""
-    options = parser(__doc__, trials=40, quick=4)
-    options.add_argument("--only", default="", help="rows whose name has this in it")
-    options.add_argument("--listed", action="store_true", help="also what went wrong, with its row and trial")
-    chosen = options.parse_args()
-    print(HEAD)
-    for name in ROWS:
-        if chosen.only not in name:
-            continue
-        found = each(run, [(name, chosen.seed, trial) for trial in range(trials_of(chosen))], chosen.workers)
-        print(row(name, found), flush=True)
-        if chosen.listed:
-            listed(found)
+    show_rows(__doc__, HEAD, ROWS, run, row, faults)
 
 
-def listed(found: list[Trial]) -> None:
-    """Print a line for each run with a fault."""
+def faults(found: list[Trial]) -> Iterator[str]:
+    """A line for each run with a fault."""
     for k, trial in enumerate(found):
         if trial.mistake or trial.elsewhere:
             what = f"{trial.mistake or 'right tree'} ({len(trial.warnings)} warnings)"
             where = f"of {trial.frames} {trial.elsewhere} elsewhere, {trial.unsaid} unsaid"
-            print(f"    trial {k}: {what}; {where}; {trial.seconds:.1f} s", flush=True)
+            yield f"trial {k}: {what}; {where}; {trial.seconds:.1f} s"
 
 
 if __name__ == "__main__":
