@@ -12,7 +12,6 @@ from station.fit.asking import Asking
 from station.fit.bodies import Group
 from station.fit.image.doubts import remarks_on_corners
 from station.fit.image.image_fit import joined
-from station.fit.image.type_choice import SIMPLER
 from station.fit.image.views import Views
 from station.fit.options import FitOptions
 from station.fit.reading import JointReading
@@ -23,6 +22,7 @@ from station.fit.selection import CRITERIA, Scores
 from station.fit.structure import outward
 from station.fit.telling import method_told
 from station.fit.tree_reading import REFERENCE, Structure, TreeReading, named_member, read_tree
+from station.kinematics.joints import JOINT_TYPES
 from station.kinematics.tree import Joint, KinematicTree
 from station.logs import JointLog, PoseLog
 
@@ -103,8 +103,9 @@ def _scored(joint: Joint, scores: Scores, pair: int, options: FitOptions) -> Joi
     Where corners say of the likeliest type that this one, a case of it, does as well, such types are none of them.
     """
     probability = scores.probabilities(pair, free=options.free)
-    if joint.type in SIMPLER.get(scores.best_type(pair), ()):
-        left = {name: p for name, p in probability.items() if joint.type not in SIMPLER.get(name, ())}
+    richer = {name for name, kind in JOINT_TYPES.items() if joint.type in kind.simpler}
+    if scores.best_type(pair) in richer:
+        left = {name: p for name, p in probability.items() if name not in richer}
         total = sum(left.values())
         probability = {name: p / total if total > 0 else float(name == joint.type) for name, p in left.items()}
     return replace(

@@ -7,7 +7,7 @@ detector errs by at least.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection
 from dataclasses import replace
 from typing import TypeVar
 
@@ -25,8 +25,6 @@ from station.logs import FloatArray
 
 Item = TypeVar("Item")
 
-# Types that are a case of another one, the simplest first.
-SIMPLER: Mapping[str, tuple[str, ...]] = {"spherical": ("revolute",), "screw": ("revolute", "prismatic")}
 # Standard deviations of chi squared by which a simpler type may exceed its mean.
 CHANCE_SIGMAS = 4.0
 # Types by which a body's place and turns are farther off, at the median, aren't tried.
@@ -47,7 +45,7 @@ def with_simpler_types(
         refining: a tree on the same corners, from a start.
     """
     for j, joint in enumerate(skeleton.joints):
-        for name in SIMPLER.get(joint.type.name, ()):
+        for name in joint.type.simpler:
             start = _with_type(skeleton, found, j, JOINT_TYPES[name]) if name in joint_types else None
             if start is None:
                 continue

@@ -117,6 +117,7 @@ class JointType(ABC):
         form_freedoms: how many numbers m its `form` has.
         usual: how often one meets it, as against a hinge.
         includes: types with the same frames and states that it is where its form is zero.
+        simpler: types whose motions are a case of its own, the simplest first.
     """
 
     name: ClassVar[str]
@@ -133,6 +134,7 @@ class JointType(ABC):
     form_freedoms: ClassVar[int] = 0
     usual: ClassVar[float] = 1.0
     includes: ClassVar[tuple[str, ...]] = ()
+    simpler: ClassVar[tuple[str, ...]] = ()
 
     @property
     def state_shape(self) -> tuple[int, ...]:

@@ -64,6 +64,7 @@ class Screw(JointType):
     form_freedoms = 1
     usual = 0.1
     includes = ("revolute",)
+    simpler = ("revolute", "prismatic")
 
     def axis_motion(self, q: FloatArray, form: FloatArray) -> FloatArray:
         """(..., 4, 4) rotation about z by q (..., 1) radians, and translation along z by form (..., 1) times q."""

@@ -45,6 +45,7 @@ class Spherical(JointType):
     axis_freedoms = (0, 1, 2)
     child_freedoms = (0, 1, 2)
     usual = 0.1
+    simpler = ("revolute",)
 
     def axis_motion(self, q: FloatArray, form: FloatArray) -> FloatArray:
         """(..., 4, 4) rotation by the vector q (..., 3)."""
