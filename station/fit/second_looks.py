@@ -23,6 +23,7 @@ from station.fit.image.two_answers import UNDECIDED
 from station.fit.image.views import COORDINATES, Views
 from station.fit.noise import INLIER_ABOVE
 from station.fit.result import Fit
+from station.kinematics.joints import JOINT_TYPES
 from station.logs import PoseLog
 
 # Doubtful is a tree that leaves out more of a marker's sightings, or has its corners so many deviations of chance
@@ -34,8 +35,8 @@ LEFT_OVER = 5.0
 OTHERWISE = 0.1
 # In -2 log likelihood: less is no likelier tree.
 CLEARER = 1.0
-# Numbers of a joint that are the same in all frames, about, and of a pose.
-OF_A_JOINT, OF_A_POSE = 9, 6
+# Numbers of a pose.
+OF_A_POSE = 6
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,7 +136,8 @@ def numbers_of(fit: Fit, log: PoseLog, views: Views) -> float:
     _, poses = _unconnected(fit, log, views)
     poses += 0 if fit.image is None else sum(_root_poses(bodies, fit.image) for bodies in fit.tree.trees)
     of_states = float(np.isfinite(fit.states.q).sum())
-    return of_states + OF_A_JOINT * len(fit.tree.joints) + OF_A_POSE * (len(fit.tree.mounts) + poses)
+    of_joints = sum(JOINT_TYPES[joint.type].parameters for joint in fit.tree.joints)
+    return of_states + of_joints + OF_A_POSE * (len(fit.tree.mounts) + poses)
 
 
 def _root_poses(bodies: Sequence[str], image: ImageFit) -> int:
