@@ -11,8 +11,10 @@ import numpy as np
 from station.fit.image_checks.sums import Sums
 from station.logs import FloatArray
 
-# Pictures on either side that are looked at, those that repeat others counted for less than one; ticks at least.
-PICTURES, LEAST_TICKS = 8.0, 3
+# Ticks on either side of a change, at least.
+LEAST_TICKS = 3
+# Pictures on either side that are looked at, those that repeat others counted for less than one.
+PICTURES = 8.0
 # A change's time is known to about so many ticks.
 NEAR = 2
 # What is likelier to be a drift than a step by this much, in twice the log likelihood, is none: noise alone makes two

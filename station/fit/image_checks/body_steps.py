@@ -10,7 +10,8 @@ import numpy as np
 from scipy.special import gammaincinv
 
 from station.fit.image.image_fit import ImageFit
-from station.fit.image_checks.changes import BLOCKS, FAINT, LEAST_TICKS, Effect, as_chi2, log_chance_of_a_step
+from station.fit.image_checks.abruptness import LEAST_TICKS
+from station.fit.image_checks.changes import BLOCKS, FAINT, Effect, as_chi2, log_chance_of_a_step
 from station.fit.image_checks.directions import CAMERA, TWIST, Rows
 from station.fit.image_checks.sums import Sums, scene_centre
 from station.kinematics import se3

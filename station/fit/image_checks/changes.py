@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import gammaincc, gammaln
 
-from station.fit.image_checks.abruptness import is_abrupt
+from station.fit.image_checks.abruptness import LEAST_TICKS, is_abrupt
 from station.fit.image_checks.sums import Sums
 from station.logs import FloatArray
 
@@ -17,8 +17,6 @@ REDUNDANT = 1e-10
 LEAST_KNOWN = {"twist": (0.02, 0.02, 0.02, 0.2, 0.2, 0.2), "number": (1.0,)}
 # Directions that have less information than this share of the best known one are left out: sizes are of what is seen.
 FAINT = 1e-4
-# Ticks on either side of a change.
-LEAST_TICKS = 3
 # Blocks of time between which the noise is looked at, and how many ticks one has at least.
 BLOCKS, BLOCK_TICKS = 24, 6
 
