@@ -64,17 +64,6 @@ def inverse_right_jacobian(w: FloatArray) -> FloatArray:
     return J
 
 
-def triangular_inverse(L: FloatArray) -> FloatArray:
-    """(T, n, n) inverses of lower triangular matrices (T, n, n), row after row, for all at once."""
-    entries = np.ascontiguousarray(L.transpose(1, 2, 0))
-    inverse = np.zeros(entries.shape)
-    for j in range(len(entries)):
-        inverse[j, j] = 1 / entries[j, j]
-        np.einsum("kt,kmt->mt", entries[j, :j], inverse[:j, :j], out=inverse[j, :j])
-        inverse[j, :j] *= -inverse[j, j]
-    return np.ascontiguousarray(inverse.transpose(2, 0, 1))
-
-
 def _power_series(coefficients: tuple[float, ...], x: FloatArray) -> FloatArray:
     value = np.full_like(x, coefficients[-1])
     for coefficient in coefficients[-2::-1]:  # Horner's rule

@@ -16,7 +16,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from station.fit.entrywise import triangular_inverse
 from station.fit.skeleton import Skeleton
 from station.fit.tree_equations import Equations
 from station.logs import FloatArray
@@ -141,7 +140,7 @@ def _roots(
     lifted = scaled[:, order[:, None], order]
     np.einsum("tii->ti", lifted)[...] += np.where(told, UNOBSERVED + damping, 1.0)[:, order]
     factor = np.asarray(np.linalg.cholesky(lifted), dtype=np.float64)
-    inverse = triangular_inverse(factor)
+    inverse = np.asarray(np.linalg.inv(factor), dtype=np.float64)
     weak = np.diagonal(factor, axis1=-2, axis2=-1) ** 2 < WEAK_PIVOT
     if weak.any():  # the row of such a pivot is a direction that was not observed
         length = np.linalg.norm(inverse, axis=-1, keepdims=True)

@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from station.fit import pair_refinement
-from station.fit.entrywise import triangular_inverse
 from station.fit.noise import unknown_noise
 from station.fit.pair_model import Model, PairTracks
 from station.fit.pair_refinement import Progress, begin, improve
@@ -79,10 +78,3 @@ def test_frames_of_pairs_cost_by_themselves_what_they_do_in_their_pairs() -> Non
         REVOLUTE, tracks.data, progress.model, step, whitening, whitening, nothing, np.zeros(len(step))
     )
     np.testing.assert_allclose(_costs(tracks, progress.model).sum(axis=-1), cost, rtol=1e-12)
-
-
-def test_lower_triangular_matrices_are_inverted_all_at_once() -> None:
-    rng = np.random.default_rng(5)
-    L = np.tril(rng.normal(size=(7, 9, 9))) + 3 * np.eye(9)
-    np.testing.assert_allclose(triangular_inverse(L) @ L, np.broadcast_to(np.eye(9), L.shape), atol=1e-13)
-    assert triangular_inverse(np.zeros((4, 0, 0))).shape == (4, 0, 0)
