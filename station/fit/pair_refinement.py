@@ -28,14 +28,8 @@ LM_ITERATIONS = 30
 # deviation.
 COST_TOLERANCE = 1e-2
 DAMPING_START, DAMPING_FALL, DAMPING_RISE, DAMPING_MIN, DAMPING_MAX = 1e-3, 0.2, 8.0, 1e-9, 1e8
-# A pair is settled, too, when so many times what two steps on end changed is less; its steps may go on to promise more:
-# a single frame whose state finds no rest is enough. A step that failed has changed nothing, and counts once the
-# damping leaves of it no more than the states' own.
-STILL_TO_COME, ALL_DAMPED = 2.0, 1.0
 # A frame that a step makes dearer by more, in -2 log likelihood, is tried with such a share of its state's step.
 DEARER, SHORTER = 0.1, 0.5
-# Share of a step of the noise's scales that is taken if it goes back.
-BACK = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,18 +40,14 @@ class Progress:
         model: P of them.
         damping: (P,) of the next step.
         cost: (P,) -2 log likelihood.
-        fall: (P,) by how much the last step changed it.
-        promise: (P,) by how much further steps can be hoped to lower it.
-        scales_step: (P, S) logarithm of the factor by which the last step changed the noise's scales.
+        promise: (P,) by how much the last step promised to lower it.
         log_open: (P,) logarithm of the share of the states' range that a frame leaves open.
     """
 
     model: Model
     damping: FloatArray
     cost: FloatArray
-    fall: FloatArray
     promise: FloatArray
-    scales_step: FloatArray
     log_open: FloatArray
 
     def take(self, rows: IntArray) -> Progress:
@@ -73,13 +63,13 @@ class Progress:
 
     @property
     def _arrays(self) -> tuple[FloatArray, ...]:
-        return self.damping, self.cost, self.fall, self.promise, self.scales_step, self.log_open
+        return self.damping, self.cost, self.promise, self.log_open
 
 
 def begin(model: Model) -> Progress:
     """Before the first step."""
-    P, never = len(model.q), np.full(len(model.q), np.inf)
-    return Progress(model, np.full(P, DAMPING_START), never, never, never, np.zeros_like(model.scales), np.zeros(P))
+    P = len(model.q)
+    return Progress(model, np.full(P, DAMPING_START), np.full(P, np.inf), np.full(P, np.inf), np.zeros(P))
 
 
 def improve(
@@ -119,13 +109,10 @@ def _improved(joint: JointType, data: PairData, progress: Progress) -> Progress:
     moved = replace(model, frames=stepped_frames(joint, model.frames, step))
     moved, cost = _judged(joint, data, moved, linear.state_step(step), whitening, trusted, now.costs, progress.log_open)
     better = cost <= now.cost
-    fitted, change = _with_noise(data, moved.where(better, model), now, linear, residual, trusted, progress)
+    fitted, change = _with_noise(data, moved.where(better, model), now, linear, residual, trusted)
     damping = _damping(progress.damping, better)
     room = log_open(joint, data, linear.state_scale, now.inlier)
-    cost = np.fmin(now.cost, cost)
-    fall = np.where(better | (damping > ALL_DAMPED), np.abs(progress.cost - cost), np.inf)
-    promise = np.fmin(gain + change, STILL_TO_COME * np.fmax(fall, progress.fall))
-    return Progress(fitted, damping, cost, fall, promise, np.log(fitted.scales / model.scales), room)
+    return Progress(fitted, damping, np.fmin(now.cost, cost), gain + change, room)
 
 
 def _damping(damping: FloatArray, better: BoolArray) -> FloatArray:
@@ -208,23 +195,12 @@ def _costs_of_frames(
 
 
 def _with_noise(
-    data: PairData,
-    model: Model,
-    now: Likelihood,
-    linear: Linear,
-    residual: FloatArray,
-    trusted: Whitening,
-    progress: Progress,
+    data: PairData, model: Model, now: Likelihood, linear: Linear, residual: FloatArray, trusted: Whitening
 ) -> tuple[Model, FloatArray]:
-    """The model with new scales and shares, and by how much these lower -2 log likelihood (P,), about.
-
-    Scales that go back where they came from went too far: they go half the way.
-    """
+    """The model with new scales and shares, and by how much these lower -2 log likelihood (P,), about."""
     measured = 3.0 * data.seen + 3.0 * data.oriented * now.oriented
     projected = Projected(residual, linear.states, now.inlier, measured, linear.by_parameters.shape[1])
-    step = np.log(data.noise.updated_scales(model.scales, trusted, projected) / model.scales)
-    back = np.sum(step * progress.scales_step, axis=-1) < 0
-    scales = model.scales * np.exp(np.where(back, BACK, 1.0)[:, None] * step)
+    scales = data.noise.updated_scales(model.scales, trusted, projected)
     outliers, flips = shares(data, now)
     frames = now.inlier.sum(axis=-1)
     change = 0.5 * np.sum(now.inlier * measured, axis=-1) * np.max(np.log(scales / model.scales) ** 2, axis=-1)
