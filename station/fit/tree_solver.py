@@ -24,8 +24,6 @@ ROUNDS = 3
 SETTLED = 0.1
 # It is near enough for the noise to be told by what is left, and for states to be sought anew.
 NEAR = 30.0
-# So it is, too, with so many steps on end that change it by no more: what they promise may be out of reach.
-IDLE = 2
 # A frame that a step makes dearer by more, in -2 log likelihood, is looked into.
 DEARER = 1.0
 # Rounds of the parts' noise, and the relative change of a deviation that asks for another.
@@ -108,7 +106,7 @@ def refined(
         steps: at most.
         enough: settled with the step that promises to change chi squared by no more.
     """
-    skeleton, data, chi2, damping, idle = problem.skeleton, problem.measured, problem.chi2(model), 0.0, 0
+    skeleton, data, chi2, damping = problem.skeleton, problem.measured, problem.chi2(model), 0.0
     while True:
         heat = data.heat(chi2)
         hot = data.hotter(heat)
@@ -124,12 +122,10 @@ def refined(
                 tried = mended(replace(problem, measured=hot), model, tried, rows)
                 tried_chi2 = problem.chi2(tried)
         dearer = float(np.sum(hot.costs(tried_chi2 / heat) - hot.costs(chi2 / heat)))
-        fall = problem.prior.cost(model.shared) - problem.prior.cost(tried.shared) - dearer
-        better = fall >= 0
+        better = dearer + problem.prior.cost(tried.shared) - problem.prior.cost(model.shared) <= 0
         if better:
             model, chi2 = tried, tried_chi2
-            idle = idle + 1 if fall <= enough else 0
-        settled, steps = (promise <= enough and damping <= DAMPING_LEAST) or idle == IDLE, steps - 1
+        settled, steps = promise <= enough and damping <= DAMPING_LEAST, steps - 1
         if settled or not steps:
             break
         damping = _damping(damping, better=better)
