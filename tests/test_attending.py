@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 import os
+import pty
+import select
 import signal
 import subprocess
 import sys
 import termios
+import threading
 import time
 from pathlib import Path
+from typing import Any
 
 import pytest
 
+from station.cli.keys import Keys
 from tests.terminal import CTRL_C, CTRL_Z, PATIENCE_S, Terminal
 
 ASKED = "Enter: on from the last checkpoint"
@@ -60,6 +65,30 @@ def test_what_was_pressed_before_the_question_answers_nothing(tmp_path: Path):
         terminal.wait_for(ASKED)
         time.sleep(0.5)
         assert states(tmp_path) == ["checking", "moving", "paused"]
+
+
+def test_a_key_that_ctrl_c_takes_back_holds_nothing_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A terminal forgets at Ctrl-C what was pressed: also when that was there a moment ago, and is about to be read."""
+    ours, theirs = pty.openpty()
+    ready, answers = select.select, list[str]()
+    with os.fdopen(ours, "wb", buffering=0) as keyboard, os.fdopen(theirs, "rb", buffering=0) as stdin:
+        monkeypatch.setattr(sys, "stdin", stdin)
+        with Keys() as keys:
+
+            def ready_and_taken_back(*arguments: Any) -> Any:
+                found = ready(*arguments)
+                keys.forget()
+                return found
+
+            monkeypatch.setattr(select, "select", ready_and_taken_back)
+            keyboard.write(b"s")
+            waiting = threading.Thread(target=lambda: answers.append(keys.wait(0.1)))
+            waiting.start()
+            waiting.join(5.0)
+            held_up = waiting.is_alive()
+            keyboard.write(b"x")  # it would be waited for
+            waiting.join()
+    assert not held_up and answers == [""]
 
 
 @pytest.mark.parametrize("answer", ["\n", CTRL_C])

@@ -30,6 +30,7 @@ class Keys:
         self._before = termios.tcgetattr(self._fd)
         keywise = termios.tcgetattr(self._fd)
         keywise[3] &= ~(termios.ICANON | termios.ECHO)
+        keywise[6][termios.VMIN] = keywise[6][termios.VTIME] = 0  # Ctrl-C takes back what was pressed, also from a read
         termios.tcsetattr(self._fd, termios.TCSANOW, keywise)
         return self
 
