@@ -18,6 +18,7 @@ from station.fit import pairwise
 from station.fit.asking import COMPARING, FITTING, SCREENING, Asking, Effort, Explained, Question, ask
 from station.fit.bodies import Bodies, counted_tracks, oriented_pairs
 from station.fit.known_joints import KnownJoints
+from station.fit.pair_fits import PairFits
 from station.fit.pairwise import JointFit, PairTracks, told_by_pose
 from station.fit.rare_motion import moved_rarely
 from station.fit.selection import Scores
@@ -61,6 +62,7 @@ class PairTable:
         misfit: (P,) the noise is far from what its parts have elsewhere.
         T_a_b: (P, 4, 4) pose of the best type at the state 0.
         joints: of all types, as far as they were fitted.
+        fitted: of pairs that were fitted with care to all frames, in pieces.
     """
 
     pairs: IntArray
@@ -75,6 +77,7 @@ class PairTable:
     misfit: BoolArray
     T_a_b: FloatArray
     joints: KnownJoints
+    fitted: tuple[PairFits, ...] = ()
 
 
 def fit_types(tracks: PairTracks, joint_types: Sequence[str], *, quickly: bool) -> dict[str, JointFit]:
@@ -106,7 +109,7 @@ def question_of(
 
 def fit_pairs(
     bodies: Bodies, pairs: IntArray, joint_types: Sequence[str], criterion: str, known: KnownJoints | None = None
-) -> Asking[tuple[dict[str, JointFit], Scores]]:
+) -> Asking[PairFits]:
     """All types fitted to all frames that count of pairs (P, 2) as they are oriented, and scored."""
 
     def told(found: Explained) -> tuple[Mapping[str, JointFit], Scores]:
@@ -115,7 +118,7 @@ def fit_pairs(
     question = question_of(bodies, pairs, joint_types, FITTING, criterion, free=None, told=told, known=known)
     found = yield from ask(question)
     fits = {name: JointFit.all_of([fits[name] for fits, _ in found]) for name in joint_types}
-    return fits, Scores.all_of([scores for _, scores in found])
+    return PairFits(pairs, fits, Scores.all_of([scores for _, scores in found]))
 
 
 def compare_pairs(
@@ -230,8 +233,13 @@ def _looked_at(
     """The table after a look at some of its pairs (P,)."""
     rows = np.flatnonzero(todo)
     criterion = table.scores.criterion
+
+    def told(found: Explained) -> _Look:
+        everything = effort is COMPARING and found.tracks.seen.shape[1] == len(bodies.seen)
+        return _Look.of(found, everything=everything)
+
     question = question_of(
-        bodies, table.pairs[rows], joint_types, effort, criterion, free=None, told=_Look.of, known=table.joints
+        bodies, table.pairs[rows], joint_types, effort, criterion, free=None, told=told, known=table.joints
     )
     looks = yield from ask(question)
     seen = np.concatenate([look.seen for look in looks])
@@ -249,6 +257,7 @@ def _looked_at(
         scales=with_found(table.scales, [look.scales for look in looks]),
         T_a_b=with_found(table.T_a_b, [look.T_a_b for look in looks]),
         joints=table.joints.with_rows(rows, _joints(table.pairs[rows], looks)),
+        fitted=(*table.fitted, *_fitted(table.pairs[rows], looks)),
     )
     return replace(found, rigid=_rigid(found, bodies), misfit=~_noise_within(found, bodies, SCREEN_MISFIT))
 
@@ -256,7 +265,7 @@ def _looked_at(
 @dataclass(frozen=True, eq=False)
 class _Look:
     """What is kept of a look at P pairs: scores, the likeliest types' scales (P, S) and T_a_b, seen frames, all joints,
-    and whether they are told by orientations.
+    whether they are told by orientations, and the fits themselves if they are of all frames.
     """
 
     scores: Scores
@@ -265,27 +274,39 @@ class _Look:
     seen: IntArray
     frames: Mapping[str, JointFrames]
     by_pose: BoolArray
+    fits: Mapping[str, JointFit] | None
 
     @staticmethod
-    def of(found: Explained) -> _Look:
+    def of(found: Explained, *, everything: bool) -> _Look:
         fits, P = found.fits, len(found.tracks.seen)
         best = np.argmin(np.stack([found.scores.by_type[name] for name in fits]), axis=0)
         T_a_b = np.stack([f.model.frames.T_parent_axis @ f.model.frames.T_axis_child for f in fits.values()])
         scales = np.stack([fit.model.scales for fit in fits.values()])
         seen = found.tracks.seen.sum(axis=-1)
         frames = {name: fit.model.frames for name, fit in fits.items()}
-        rows = np.arange(P)
-        return _Look(found.scores, scales[best, rows], T_a_b[best, rows], seen, frames, told_by_pose(found.tracks))
+        rows, by_pose = np.arange(P), told_by_pose(found.tracks)
+        kept = fits if everything else None
+        return _Look(found.scores, scales[best, rows], T_a_b[best, rows], seen, frames, by_pose, kept)
+
+
+def _pieces(pairs: IntArray, looks: Sequence[_Look]) -> list[tuple[IntArray, _Look]]:
+    """Pairs (P, 2) as they were looked at, with each look."""
+    ends = np.cumsum([len(look.by_pose) for look in looks])
+    return list(zip(np.split(pairs, ends[:-1]), looks, strict=True))
 
 
 def _joints(pairs: IntArray, looks: Sequence[_Look]) -> KnownJoints:
     """Of pairs (P, 2) that were looked at in pieces."""
-    ends = np.cumsum([len(look.by_pose) for look in looks])
     some = [
         KnownJoints(piece, np.ones(len(piece), dtype=bool), look.by_pose, look.frames)
-        for piece, look in zip(np.split(pairs, ends[:-1]), looks, strict=True)
+        for piece, look in _pieces(pairs, looks)
     ]
     return KnownJoints.all_of(some)
+
+
+def _fitted(pairs: IntArray, looks: Sequence[_Look]) -> list[PairFits]:
+    """Of pairs (P, 2) that were looked at in pieces, those of which all frames were."""
+    return [PairFits(piece, look.fits, look.scores) for piece, look in _pieces(pairs, looks) if look.fits is not None]
 
 
 def _rigid(table: PairTable, bodies: Bodies) -> BoolArray:

@@ -35,6 +35,7 @@ from station.fit.image.simpler import explains_as_well
 from station.fit.image.views import Views
 from station.fit.known_joints import KnownJoints
 from station.fit.options import FitOptions, check_options
+from station.fit.pair_fits import PairFits
 from station.fit.parallel import products_in_one_thread
 from station.fit.result import Fit
 from station.fit.rigid_pairs import RigidPairs
@@ -152,7 +153,7 @@ def _check_views(log: PoseLog, options: FitOptions, views: Views | None) -> None
 def _find_structure(log: PoseLog, options: FitOptions, include: bool, told: RigidPairs) -> Asking[Structure]:
     parts = with_reference(bodies_of_log(log), log.reference)
     groups, bodies, edges = singles(len(parts.names)), parts, np.zeros((0, 2), dtype=np.intp)
-    known = KnownJoints.none(edges, options.joint_types)
+    known, fitted = KnownJoints.none(edges, options.joint_types), list[PairFits]()
     for level in count():  # bodies of one round are the parts of the next; each round but the first merges some
         alone = _only_rigid(groups, include)
         pairs = _all_pairs(len(bodies.names), without=alone if options.root_static is False else None)
@@ -163,7 +164,11 @@ def _find_structure(log: PoseLog, options: FitOptions, include: bool, told: Rigi
             raise InvalidData(_too_few(log))
         chosen = spanning_forest(len(groups), table.pairs, edge_weights(table, alone))
         rigid = _rigid_edges(table, chosen)
-        edges, known = table.pairs[chosen], table.joints
+        edges, known, fitted = (
+            table.pairs[chosen],
+            table.joints,
+            [some.of(table.pairs[chosen]) for some in table.fitted],
+        )
         if level > 0 and not rigid.size:
             break
         if level == 0:
@@ -177,7 +182,7 @@ def _find_structure(log: PoseLog, options: FitOptions, include: bool, told: Rigi
         before, groups = groups, merged(groups, fixed, T_a_b)
         groups, known = refined_mounts(parts, groups), known.renumbered(_numbers_of(before, groups))
         bodies = fused_bodies(parts, groups)
-    return Structure(parts, groups, bodies, edges, known)
+    return Structure(parts, groups, bodies, edges, known, PairFits.all_of(fitted) if fitted else None)
 
 
 def _numbers_of(groups: Sequence[Group], merged: Sequence[Group]) -> IntArray:

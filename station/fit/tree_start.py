@@ -14,6 +14,7 @@ from station.fit.comparison import fit_pairs
 from station.fit.known_joints import KnownJoints
 from station.fit.noise import INLIER_ABOVE
 from station.fit.options import FitOptions
+from station.fit.pair_fits import PairFits
 from station.fit.selection import Scores, continuous_states
 from station.fit.skeleton import Skeleton, TreeJoint, TreeModel
 from station.fit.structure import outward
@@ -30,8 +31,8 @@ REFERENCE = 0  # the log's reference frame is the first of all parts while fitti
 
 @dataclass(frozen=True, eq=False)
 class Structure:
-    """Parts (reference first) with their noise, groups of them, the groups' bodies, the forest's edges (E, 2), and
-    joints of the bodies' pairs as the comparison left them.
+    """Parts (reference first) with their noise, groups of them, the groups' bodies, the forest's edges (E, 2), joints
+    of the bodies' pairs as the comparison left them, and the fits of those edges that it fitted to all frames.
     """
 
     parts: Bodies
@@ -39,6 +40,7 @@ class Structure:
     bodies: Bodies
     edges: IntArray
     known: KnownJoints
+    fitted: PairFits | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,8 +98,8 @@ def _pair_joints(structure: Structure, names: Sequence[tuple[int, int]], options
     """Each joint's likeliest movable type; a pair is fitted from the body that has orientations."""
     bodies = structure.bodies
     pairs = np.array(names, dtype=np.intp).reshape(-1, 2)
-    fitted = oriented_pairs(bodies, pairs)
-    fits, scores = yield from fit_pairs(bodies, fitted, options.joint_types, options.criterion, structure.known)
+    found = yield from _fitted_pairs(structure, pairs, options)
+    fits, scores = found.fits, found.scores
     movable = [name for name in options.joint_types if JOINT_TYPES[name].states] or list(options.joint_types)
     types: list[JointType] = []
     frames: list[JointFrames] = []
@@ -106,12 +108,27 @@ def _pair_joints(structure: Structure, names: Sequence[tuple[int, int]], options
         best = min(movable, key=lambda name, i=i: float(scores.by_type[name][i]))
         fit = fits[best].take(np.array([i]))
         inner, q = fit.model.frames.take(0), _filled(continuous_states(fit)[0], fit.inlier[0] > INLIER_ABOVE)
-        if fitted[i, 0] != pairs[i, 0]:
+        if found.pairs[i, 0] != pairs[i, 0]:
             inner, q, _ = fit.joint.reversed(inner, q, np.zeros((*q.shape, 0)))
         types.append(fit.joint)
         frames.append(inner)
         states.append(q)
     return _PairJoints(tuple(types), tuple(frames), np.concatenate(states, axis=-1), scores)
+
+
+def _fitted_pairs(structure: Structure, pairs: IntArray, options: FitOptions) -> Asking[PairFits]:
+    """All types fitted to all frames of pairs (P, 2), each in some order of its bodies: as far as that was done before,
+    it is not done again.
+    """
+    wanted = [frozenset(pair) for pair in pairs.tolist()]
+    found = [] if structure.fitted is None else [structure.fitted.of(pairs)]
+    there = {frozenset(pair) for each in found for pair in each.pairs.tolist()}
+    left = pairs[[pair not in there for pair in wanted]]
+    if len(left) or not found:
+        asked = oriented_pairs(structure.bodies, left)
+        more = yield from fit_pairs(structure.bodies, asked, options.joint_types, options.criterion, structure.known)
+        found.append(more)
+    return PairFits.all_of(found).of(pairs)
 
 
 def _filled(q: FloatArray, good: BoolArray) -> FloatArray:
