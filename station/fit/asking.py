@@ -43,6 +43,8 @@ class Effort:
 
 
 SCREENING = Effort(frames=64, iterations=2, tolerance=0.1)
+# Tells a pair's noise.
+SURVEYING = Effort(frames=64, iterations=10, tolerance=0.1)
 # Tells a pair's type and whether it is an edge; the tree's joints are fitted to all frames.
 COMPARING = Effort(frames=200, iterations=10, tolerance=0.1)
 FITTING = Effort(frames=None, iterations=LM_ITERATIONS, tolerance=COST_TOLERANCE)

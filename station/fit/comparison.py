@@ -2,7 +2,8 @@
 
 All pairs are looked at in a few frames. The edges of the minimum spanning forest over those weights, and all pairs that
 could still be in it if a careful look made them as much better as it ever does, are then fitted with care, until every
-edge of the forest is.
+edge of the forest is. As long as it is the parts' noise that is to be found, a few frames do for this, but for the
+forest's rigid edges: what becomes one body stays one.
 """
 
 from __future__ import annotations
@@ -54,6 +55,7 @@ class PairTable:
         enough: (P,) enough common frames.
         counted: (P,) common frames that count for an edge.
         careful: (P,) fitted with care; the others can be no edges, and what is known of them is of a first look.
+        compared: (P,) so they were, to as many frames as types are told by.
         scores: of all types.
         scales: (P, S) noise scales of the best type.
         still: (P,) known not to have moved in a few frames among many.
@@ -69,6 +71,7 @@ class PairTable:
     enough: BoolArray
     counted: FloatArray
     careful: BoolArray
+    compared: BoolArray
     scores: Scores
     scales: FloatArray
     still: BoolArray
@@ -127,6 +130,7 @@ def compare_pairs(
     joint_types: Sequence[str],
     criterion: str,
     *,
+    effort: Effort = COMPARING,
     only_rigid: BoolArray | None = None,
     known: KnownJoints | None = None,
 ) -> Asking[PairTable]:
@@ -137,6 +141,7 @@ def compare_pairs(
         pairs: (P, 2).
         joint_types: the candidates.
         criterion: how they are compared.
+        effort: care that pairs are fitted with that may be edges; with less than `COMPARING`, rigid edges with that.
         only_rigid: (K,) bodies that no movable joint may join; none if None.
         known: of some of the pairs, to start at.
     """
@@ -150,12 +155,26 @@ def compare_pairs(
         table = yield from _looked_at(bodies, table, todo, joint_types, SCREENING)
         todo = _undecided(table, barred, len(bodies.names))
     while todo.any():  # what a careful look finds may make contenders of other pairs
-        table = yield from _looked_at(bodies, table, todo, joint_types, COMPARING)
+        table = yield from _looked_at(bodies, table, todo, joint_types, effort)
         todo = _undecided(table, barred, len(bodies.names))
         if not todo.any():
+            table = yield from _with_rigid_compared(bodies, table, barred, joint_types)
             table = yield from _with_rare_motion(bodies, table, barred, joint_types)
             todo = _undecided(table, barred, len(bodies.names))
     return table
+
+
+def _with_rigid_compared(
+    bodies: Bodies, table: PairTable, barred: BoolArray, joint_types: Sequence[str]
+) -> Asking[PairTable]:
+    """The table with the forest's rigid edges told by as many frames as types are, until each is."""
+    while True:
+        edges = spanning_forest(len(bodies.names), table.pairs, _edge_weights(table, barred))
+        todo = np.zeros(len(table.pairs), dtype=bool)
+        todo[edges] = table.rigid[edges] & ~table.compared[edges]
+        if not todo.any():
+            return table
+        table = yield from _looked_at(bodies, table, todo, joint_types, COMPARING)
 
 
 def _with_rare_motion(
@@ -216,6 +235,7 @@ def _nothing_known(bodies: Bodies, pairs: IntArray, joint_types: Sequence[str], 
         enough=common >= MIN_FRAMES,
         counted=np.minimum(common, max(FULL_SHARE * len(bodies.seen), 1.0)),
         careful=no,
+        compared=no,
         scores=Scores.unknown(criterion, joint_types, P),
         scales=np.ones((P, 2 if bodies.covariance is None else 1)),
         still=no,
@@ -253,6 +273,7 @@ def _looked_at(
     found = replace(
         table,
         careful=table.careful | (todo & (effort is not SCREENING)),
+        compared=table.compared | (todo & (effort is COMPARING)),
         scores=table.scores.with_rows(rows, scores),
         scales=with_found(table.scales, [look.scales for look in looks]),
         T_a_b=with_found(table.T_a_b, [look.T_a_b for look in looks]),

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from station.errors import InvalidData
 from station.fit.ambiguity import settled
-from station.fit.asking import Asking, answered_all
+from station.fit.asking import COMPARING, SURVEYING, Asking, answered_all
 from station.fit.assembly import assembled
 from station.fit.bodies import Group, bodies_of_log, scaled_by_part, with_reference
 from station.fit.comparison import MIN_FRAMES, PairTable, compare_pairs, edge_weights
@@ -158,7 +158,13 @@ def _find_structure(log: PoseLog, options: FitOptions, include: bool, told: Rigi
         alone = _only_rigid(groups, include)
         pairs = _all_pairs(len(bodies.names), without=alone if options.root_static is False else None)
         table = yield from compare_pairs(
-            bodies, pairs, options.joint_types, options.criterion, only_rigid=alone, known=known
+            bodies,
+            pairs,
+            options.joint_types,
+            options.criterion,
+            effort=COMPARING if level else SURVEYING,
+            only_rigid=alone,
+            known=known,
         )
         if level == 0 and not table.enough.any():
             raise InvalidData(_too_few(log))

@@ -1,4 +1,4 @@
-"""How carefully pairs are looked at: no look is made twice."""
+"""How carefully pairs are looked at: few frames tell the noise, but no body; and no look is made twice."""
 
 from __future__ import annotations
 
@@ -6,11 +6,34 @@ from typing import Any
 
 import numpy as np
 import pytest
-from simulated import noisy_log, simulated_tree
+from simulated import noisy_log, poses, simulated_tree
 
 from station.fit import asking
-from station.fit.asking import FITTING, Explained, Question
+from station.fit.asking import FITTING, SURVEYING, Explained, Question
 from station.fit.learner import learn
+from station.logs import PoseLog
+
+ARM_M, SIGMA_M, SIGMA_RAD = 0.02, 0.001, 0.02
+
+
+def hinge_log(seed: int, frames: int, turn_rad: float) -> PoseLog:
+    """Two parts about a hinge beside the second one, which turns to and fro by so much; both move anyhow."""
+    rng = np.random.default_rng(seed)
+    arm = poses(np.zeros(3), np.array([ARM_M, 0, 0]))
+    first = poses(rng.uniform(-1, 1, (frames, 3)), rng.uniform(-0.3, 0.3, (frames, 3)))
+    second = first @ poses(rng.normal(0, turn_rad, (frames, 1)) * [0, 0, 1], np.zeros(3)) @ arm
+    noise = poses(*(rng.normal(0, sigma, (frames, 2, 3)) for sigma in (SIGMA_RAD, SIGMA_M)))
+    return PoseLog(np.arange(frames) / 30, "world", ("first", "second"), np.stack([first, second], axis=1) @ noise)
+
+
+@pytest.mark.parametrize("seed", [0, 1, 3])
+def test_parts_that_turn_too_little_for_a_few_frames_to_tell_are_two_bodies(seed: int) -> None:
+    """As many frames as a survey has don't tell it; all do."""
+    log = hinge_log(seed, 200, 2 * SIGMA_RAD)
+    assert SURVEYING.frames is not None
+    few = np.linspace(0, len(log.t_s) - 1, SURVEYING.frames).astype(np.intp)
+    assert not learn(PoseLog(log.t_s[few], log.reference, log.parts, log.T_ref_part[few])).tree.joints
+    assert [joint.type for joint in learn(log).tree.joints] == ["revolute"]
 
 
 @pytest.mark.parametrize(("frames", "again"), [(90, False), (300, True)])
@@ -27,5 +50,5 @@ def test_pairs_of_which_all_frames_were_looked_at_are_not_fitted_again(
     monkeypatch.setattr(asking, "_explained", seen)
     rng = np.random.default_rng(3)
     truth = simulated_tree(rng, bodies=3, frames=frames, root_moves=True, trackers=(1, 1))
-    assert len(learn(noisy_log(rng, truth, sigma_m=0.001, sigma_rad=0.005)).tree.joints) == 2
+    assert len(learn(noisy_log(rng, truth, sigma_m=SIGMA_M, sigma_rad=0.005)).tree.joints) == 2
     assert (FITTING in {question.effort for question in asked}) == again
