@@ -168,28 +168,30 @@ def _with_rigid_compared(
     bodies: Bodies, table: PairTable, barred: BoolArray, joint_types: Sequence[str]
 ) -> Asking[PairTable]:
     """The table with the forest's rigid edges told by as many frames as types are, until each is."""
-    while True:
+    while (table.rigid & ~table.compared).any():
         edges = spanning_forest(len(bodies.names), table.pairs, _edge_weights(table, barred))
         todo = np.zeros(len(table.pairs), dtype=bool)
         todo[edges] = table.rigid[edges] & ~table.compared[edges]
         if not todo.any():
-            return table
+            break
         table = yield from _looked_at(bodies, table, todo, joint_types, COMPARING)
+    return table
 
 
 def _with_rare_motion(
     bodies: Bodies, table: PairTable, barred: BoolArray, joint_types: Sequence[str]
 ) -> Asking[PairTable]:
     """The table with all frames of the forest's rigid edges looked at, until each is."""
-    while True:
+    while (table.rigid & ~table.still).any():
         edges = spanning_forest(len(bodies.names), table.pairs, _edge_weights(table, barred))
         new = edges[table.rigid[edges] & ~table.still[edges]]
         if not new.size:
-            return table
+            break
         found = yield from moved_rarely(bodies, table.pairs[new], table.T_a_b[new], table.scales[new], joint_types)
         still, moved = table.still.copy(), table.moved.copy()
         still[new], moved[new] = ~found, found
         table = replace(table, still=still, moved=moved, rigid=table.rigid & ~moved)
+    return table
 
 
 def edge_weights(table: PairTable, only_rigid: BoolArray) -> FloatArray:
