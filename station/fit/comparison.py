@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TypeVar
 
 import numpy as np
@@ -51,7 +52,9 @@ class PairTable:
     """What is known of P pairs (P, 2), parent first.
 
     Attributes:
+        bodies: how many.
         pairs: (P, 2) bodies.
+        barred: (P,) only a rigid joint may join them.
         enough: (P,) enough common frames.
         counted: (P,) common frames that count for an edge.
         careful: (P,) fitted with care; the others can be no edges, and what is known of them is of a first look.
@@ -67,7 +70,9 @@ class PairTable:
         fitted: of pairs that were fitted with care to all frames, in pieces.
     """
 
+    bodies: int
     pairs: IntArray
+    barred: BoolArray
     enough: BoolArray
     counted: FloatArray
     careful: BoolArray
@@ -81,6 +86,23 @@ class PairTable:
     T_a_b: FloatArray
     joints: KnownJoints
     fitted: tuple[PairFits, ...] = ()
+
+    @cached_property
+    def edge_weights(self) -> FloatArray:
+        """(P,) weights of edges: infinite without enough frames, and where only a rigid joint may be."""
+        weights = np.where(self.enough & (self.rigid | ~self.barred), self.scores.weight, np.inf)
+        return _in_order(self, weights, np.zeros(len(weights)))
+
+    @cached_property
+    def edges(self) -> IntArray:
+        """Rows of the minimum spanning forest."""
+        return spanning_forest(self.bodies, self.pairs, self.edge_weights)
+
+    @property
+    def fitted_edges(self) -> PairFits | None:
+        """Those of the forest's edges that were fitted with care to all frames."""
+        found = [some.of(self.pairs[self.edges]) for some in self.fitted]
+        return PairFits.all_of(found) if found else None
 
 
 def fit_types(tracks: PairTracks, joint_types: Sequence[str], *, quickly: bool) -> dict[str, JointFit]:
@@ -146,45 +168,42 @@ def compare_pairs(
         known: of some of the pairs, to start at.
     """
     pairs = oriented_pairs(bodies, pairs)
-    barred = _any_end(np.zeros(len(bodies.names), dtype=bool) if only_rigid is None else only_rigid, pairs)
-    table = _nothing_known(bodies, pairs, joint_types, criterion)
+    barred: BoolArray = np.zeros(len(pairs), dtype=bool)
+    if only_rigid is not None:
+        barred |= only_rigid[pairs].any(axis=-1)
+    table = _nothing_known(bodies, pairs, barred, joint_types, criterion)
     if known is not None:
         table = replace(table, joints=known.of(pairs, joint_types))
     todo = table.enough
     if todo.any():
         table = yield from _looked_at(bodies, table, todo, joint_types, SCREENING)
-        todo = _undecided(table, barred, len(bodies.names))
+        todo = _undecided(table)
     while todo.any():  # what a careful look finds may make contenders of other pairs
         table = yield from _looked_at(bodies, table, todo, joint_types, effort)
-        todo = _undecided(table, barred, len(bodies.names))
+        todo = _undecided(table)
         if not todo.any():
-            table = yield from _with_rigid_compared(bodies, table, barred, joint_types)
-            table = yield from _with_rare_motion(bodies, table, barred, joint_types)
-            todo = _undecided(table, barred, len(bodies.names))
+            looked_at = table
+            table = yield from _with_rigid_compared(bodies, table, joint_types)
+            table = yield from _with_rare_motion(bodies, table, joint_types)
+            todo = todo if table is looked_at else _undecided(table)
     return table
 
 
-def _with_rigid_compared(
-    bodies: Bodies, table: PairTable, barred: BoolArray, joint_types: Sequence[str]
-) -> Asking[PairTable]:
+def _with_rigid_compared(bodies: Bodies, table: PairTable, joint_types: Sequence[str]) -> Asking[PairTable]:
     """The table with the forest's rigid edges told by as many frames as types are, until each is."""
     while (table.rigid & ~table.compared).any():
-        edges = spanning_forest(len(bodies.names), table.pairs, _edge_weights(table, barred))
         todo = np.zeros(len(table.pairs), dtype=bool)
-        todo[edges] = table.rigid[edges] & ~table.compared[edges]
+        todo[table.edges] = (table.rigid & ~table.compared)[table.edges]
         if not todo.any():
             break
         table = yield from _looked_at(bodies, table, todo, joint_types, COMPARING)
     return table
 
 
-def _with_rare_motion(
-    bodies: Bodies, table: PairTable, barred: BoolArray, joint_types: Sequence[str]
-) -> Asking[PairTable]:
+def _with_rare_motion(bodies: Bodies, table: PairTable, joint_types: Sequence[str]) -> Asking[PairTable]:
     """The table with all frames of the forest's rigid edges looked at, until each is."""
     while (table.rigid & ~table.still).any():
-        edges = spanning_forest(len(bodies.names), table.pairs, _edge_weights(table, barred))
-        new = edges[table.rigid[edges] & ~table.still[edges]]
+        new = table.edges[(table.rigid & ~table.still)[table.edges]]
         if not new.size:
             break
         found = yield from moved_rarely(bodies, table.pairs[new], table.T_a_b[new], table.scales[new], joint_types)
@@ -192,21 +211,6 @@ def _with_rare_motion(
         still[new], moved[new] = ~found, found
         table = replace(table, still=still, moved=moved, rigid=table.rigid & ~moved)
     return table
-
-
-def edge_weights(table: PairTable, only_rigid: BoolArray) -> FloatArray:
-    """(P,) weights of edges: infinite without enough frames, and at bodies (K,) that only a rigid joint may join."""
-    return _edge_weights(table, _any_end(only_rigid, table.pairs))
-
-
-def _any_end(of_bodies: BoolArray, pairs: IntArray) -> BoolArray:
-    """(P,) whether it is so for either body."""
-    return of_bodies[pairs[:, 0]] | of_bodies[pairs[:, 1]]
-
-
-def _edge_weights(table: PairTable, barred: BoolArray) -> FloatArray:
-    weights = np.where(table.enough & (table.rigid | ~barred), table.scores.weight, np.inf)
-    return _in_order(table, weights, np.zeros(len(weights)))
 
 
 def _in_order(table: PairTable, weights: FloatArray, less: FloatArray) -> FloatArray:
@@ -217,23 +221,27 @@ def _in_order(table: PairTable, weights: FloatArray, less: FloatArray) -> FloatA
     return np.where(looked_at & (weights < less), misfit - less - most, np.inf)
 
 
-def _undecided(table: PairTable, barred: BoolArray, count: int) -> BoolArray:
+def _undecided(table: PairTable) -> BoolArray:
     """(P,) pairs that were not fitted with care and may be edges."""
     margin = SCREEN_MARGIN * table.counted
     least = _in_order(table, np.where(table.enough, table.scores.joined_weight, np.inf), margin)
-    least = np.where(barred & table.misfit, np.inf, least)
+    least = np.where(table.barred & table.misfit, np.inf, least)
     if "rigid" in table.scores.by_type:
         likeliest = np.min(np.stack(list(table.scores.by_type.values())), axis=0)
-        least = np.where(barred & (table.scores.by_type["rigid"] > likeliest + margin), np.inf, least)
-    return contenders(count, table.pairs, _edge_weights(table, barred), least) & ~table.careful
+        least = np.where(table.barred & (table.scores.by_type["rigid"] > likeliest + margin), np.inf, least)
+    return contenders(table.bodies, table.pairs, table.edge_weights, least, table.edges) & ~table.careful
 
 
-def _nothing_known(bodies: Bodies, pairs: IntArray, joint_types: Sequence[str], criterion: str) -> PairTable:
+def _nothing_known(
+    bodies: Bodies, pairs: IntArray, barred: BoolArray, joint_types: Sequence[str], criterion: str
+) -> PairTable:
     P = len(pairs)
     common = np.sum(bodies.oriented[:, pairs[:, 0]] & bodies.seen[:, pairs[:, 1]], axis=0)
     no = np.zeros(P, dtype=bool)
     return PairTable(
+        bodies=len(bodies.names),
         pairs=pairs,
+        barred=barred,
         enough=common >= MIN_FRAMES,
         counted=np.minimum(common, max(FULL_SHARE * len(bodies.seen), 1.0)),
         careful=no,

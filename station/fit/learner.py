@@ -28,20 +28,19 @@ from station.fit.ambiguity import settled
 from station.fit.asking import COMPARING, SURVEYING, Asking, answered_all
 from station.fit.assembly import assembled
 from station.fit.bodies import Group, bodies_of_log, scaled_by_part, with_reference
-from station.fit.comparison import MIN_FRAMES, PairTable, compare_pairs, edge_weights
+from station.fit.comparison import MIN_FRAMES, PairTable, compare_pairs
 from station.fit.copies import without_copies
 from station.fit.fusion import fused_bodies, refined_mounts
 from station.fit.image.simpler import explains_as_well
 from station.fit.image.views import Views
 from station.fit.known_joints import KnownJoints
 from station.fit.options import FitOptions, check_options
-from station.fit.pair_fits import PairFits
 from station.fit.parallel import products_in_one_thread
 from station.fit.result import Fit
 from station.fit.rigid_pairs import RigidPairs
 from station.fit.second_looks import looked_again
 from station.fit.standing import with_standing
-from station.fit.structure import components, shallowest, spanning_forest
+from station.fit.structure import components, shallowest
 from station.fit.subclusters import merged, singles
 from station.fit.tree_reading import REFERENCE, Structure
 from station.logs import FloatArray, PoseLog
@@ -153,7 +152,7 @@ def _check_views(log: PoseLog, options: FitOptions, views: Views | None) -> None
 def _find_structure(log: PoseLog, options: FitOptions, include: bool, told: RigidPairs) -> Asking[Structure]:
     parts = with_reference(bodies_of_log(log), log.reference)
     groups, bodies, edges = singles(len(parts.names)), parts, np.zeros((0, 2), dtype=np.intp)
-    known, fitted = KnownJoints.none(edges, options.joint_types), list[PairFits]()
+    known, fitted = KnownJoints.none(edges, options.joint_types), None
     for level in count():  # bodies of one round are the parts of the next; each round but the first merges some
         alone = _only_rigid(groups, include)
         pairs = _all_pairs(len(bodies.names), without=alone if options.root_static is False else None)
@@ -168,13 +167,9 @@ def _find_structure(log: PoseLog, options: FitOptions, include: bool, told: Rigi
         )
         if level == 0 and not table.enough.any():
             raise InvalidData(_too_few(log))
-        chosen = spanning_forest(len(groups), table.pairs, edge_weights(table, alone))
+        chosen = table.edges
         rigid = _rigid_edges(table, chosen)
-        edges, known, fitted = (
-            table.pairs[chosen],
-            table.joints,
-            [some.of(table.pairs[chosen]) for some in table.fitted],
-        )
+        edges, known, fitted = table.pairs[chosen], table.joints, table.fitted_edges
         if level > 0 and not rigid.size:
             break
         if level == 0:
@@ -188,7 +183,7 @@ def _find_structure(log: PoseLog, options: FitOptions, include: bool, told: Rigi
         before, groups = groups, merged(groups, fixed, T_a_b)
         groups, known = refined_mounts(parts, groups), known.renumbered(_numbers_of(before, groups))
         bodies = fused_bodies(parts, groups)
-    return Structure(parts, groups, bodies, edges, known, PairFits.all_of(fitted) if fitted else None)
+    return Structure(parts, groups, bodies, edges, known, fitted)
 
 
 def _numbers_of(groups: Sequence[Group], merged: Sequence[Group]) -> IntArray:

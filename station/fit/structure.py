@@ -48,7 +48,7 @@ def spanning_forest(nodes: int, pairs: IntArray, weights: FloatArray) -> IntArra
     return edges
 
 
-def contenders(nodes: int, pairs: IntArray, weights: FloatArray, least: FloatArray) -> BoolArray:
+def contenders(nodes: int, pairs: IntArray, weights: FloatArray, least: FloatArray, edges: IntArray) -> BoolArray:
     """(P,) whether a pair could be an edge of the minimum spanning forest if it had its least weight instead.
 
     It could if that is below the heaviest edge on the forest's path between its ends, or below 0 where there is none.
@@ -58,8 +58,8 @@ def contenders(nodes: int, pairs: IntArray, weights: FloatArray, least: FloatArr
         pairs: (P, 2).
         weights: (P,).
         least: (P,) not above `weights`.
+        edges: rows of the minimum spanning forest as it is.
     """
-    edges = spanning_forest(nodes, pairs, weights)
     heaviest = np.zeros((nodes, nodes))
     tree = np.arange(nodes)
     for edge in edges[np.argsort(weights[edges], kind="stable")]:  # Kruskal's order: later edges are heavier
