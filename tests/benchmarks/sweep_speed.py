@@ -27,8 +27,8 @@ from station.experiments import DaskCluster, Grid, Processes, Sweep, Workers, ru
 from station.fit.parallel import cores
 
 WANTED_S, REPEATS, QUICK_REPEATS = 120.0, 1024, 8
-# Of the grid's repeats, one process fits so many at a time.
-ALONE_SHARE = 0.02
+# Of the grid's repeats, one process fits so many at a time: enough for batches as large as those of the whole.
+ALONE_SHARE = 0.125
 
 
 @dataclass(frozen=True)
