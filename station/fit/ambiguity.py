@@ -21,7 +21,6 @@ from station.fit.asking import COMPARING, SCREENING, Asking, Effort, Explained, 
 from station.fit.bodies import Bodies, oriented_pairs
 from station.fit.comparison import MIN_FRAMES, question_of
 from station.fit.noise import INLIER_ABOVE, time_of_correlation
-from station.fit.pair_fits import PairFits
 from station.fit.pairwise import JointFit
 from station.fit.state_spread import continuous_states
 from station.fit.structure import components, outward, spanning_forest
@@ -74,15 +73,6 @@ class _Slides:
         found = yield from ask(question)
         return _Slides(pairs, tuple(fit for piece in found for fit in piece))
 
-    @staticmethod
-    def fitted(pairs: PairFits, joint_types: Sequence[str]) -> _Slides:
-        best = [
-            min(joint_types, key=lambda name, i=i: float(pairs.scores.by_type[name][i]))
-            for i in range(len(pairs.pairs))
-        ]
-        fits = [pairs.fits[name].take(np.array([i])) for i, name in enumerate(best)]
-        return _Slides(pairs.pairs, tuple(fits))
-
     def take(self, rows: Sequence[int]) -> _Slides:
         return _Slides(self.pairs[list(rows)], tuple(self.fits[i] for i in rows))
 
@@ -97,7 +87,7 @@ def settled(structure: Structure, joint_types: Sequence[str]) -> Asking[tuple[St
         return structure, ()
     fitted = structure.fitted
     if fitted is not None and len(fitted.pairs) == len(structure.edges):
-        slides = _Slides.fitted(fitted, movable)
+        slides = _Slides(fitted.pairs, tuple(fitted.likeliest(movable)))
     else:
         slides = yield from _Slides.of(structure, structure.edges, movable, SCREENING)
     edges, doubts = list(range(len(slides.pairs))), list[Doubt]()

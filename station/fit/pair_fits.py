@@ -39,3 +39,9 @@ class PairFits:
         row = {frozenset(pair): i for i, pair in enumerate(self.pairs.tolist())}
         found = [row[frozenset(pair)] for pair in pairs.tolist() if frozenset(pair) in row]
         return self.take(np.array(found, dtype=np.intp))
+
+    def likeliest(self, joint_types: Sequence[str]) -> list[JointFit]:
+        """Of each pair the fit of the likeliest of some types."""
+        scores = np.stack([self.scores.by_type[name] for name in joint_types])
+        best: list[int] = np.argmin(scores, axis=0).tolist()
+        return [self.fits[joint_types[i]].take(np.array([row])) for row, i in enumerate(best)]

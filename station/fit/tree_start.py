@@ -99,32 +99,28 @@ def _pair_joints(structure: Structure, names: Sequence[tuple[int, int]], options
     bodies = structure.bodies
     pairs = np.array(names, dtype=np.intp).reshape(-1, 2)
     found = yield from _fitted_pairs(structure, pairs, options)
-    fits, scores = found.fits, found.scores
     movable = [name for name in options.joint_types if JOINT_TYPES[name].states] or list(options.joint_types)
     types: list[JointType] = []
     frames: list[JointFrames] = []
     states = [np.zeros((len(bodies.seen), 0))]
-    for i in range(len(pairs)):  # joints are few
-        best = min(movable, key=lambda name, i=i: float(scores.by_type[name][i]))
-        fit = fits[best].take(np.array([i]))
+    for i, fit in enumerate(found.likeliest(movable)):  # joints are few
         inner, q = fit.model.frames.take(0), _filled(continuous_states(fit)[0], fit.inlier[0] > INLIER_ABOVE)
         if found.pairs[i, 0] != pairs[i, 0]:
             inner, q, _ = fit.joint.reversed(inner, q, np.zeros((*q.shape, 0)))
         types.append(fit.joint)
         frames.append(inner)
         states.append(q)
-    return _PairJoints(tuple(types), tuple(frames), np.concatenate(states, axis=-1), scores)
+    return _PairJoints(tuple(types), tuple(frames), np.concatenate(states, axis=-1), found.scores)
 
 
 def _fitted_pairs(structure: Structure, pairs: IntArray, options: FitOptions) -> Asking[PairFits]:
     """All types fitted to all frames of pairs (P, 2), each in some order of its bodies: as far as that was done before,
     it is not done again.
     """
-    wanted = [frozenset(pair) for pair in pairs.tolist()]
     found = [] if structure.fitted is None else [structure.fitted.of(pairs)]
     there = {frozenset(pair) for each in found for pair in each.pairs.tolist()}
-    left = pairs[[pair not in there for pair in wanted]]
-    if len(left) or not found:
+    left = pairs[[frozenset(pair) not in there for pair in pairs.tolist()]]
+    if len(left):
         asked = oriented_pairs(structure.bodies, left)
         more = yield from fit_pairs(structure.bodies, asked, options.joint_types, options.criterion, structure.known)
         found.append(more)
